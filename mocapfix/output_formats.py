@@ -15,7 +15,7 @@ import numpy as np
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import OptionError, WriteError
 from mocapfix.hands.finger_markers import SIDES
-from mocapfix.hands.solve_hands import HandMotion, attach_hands
+from mocapfix.hands.solve_hands import BodyWithHands, HandMotion, attach_hands
 from mocapfix.io.asf_amc import write_asf_amc
 from mocapfix.io.bvh import write_bvh, write_bvh_tree
 from mocapfix.io.c3d import write_c3d
@@ -28,6 +28,7 @@ from mocapfix.io.patches import patch_c3d, patch_table
 from mocapfix.io.resampling import resample_motion
 from mocapfix.io.source_file import append_computed_points
 from mocapfix.io.text_tables import write_csv, write_trc
+from mocapfix.model.animation import Animation
 from mocapfix.model.changes import Change
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
@@ -41,6 +42,7 @@ from mocapfix.subject import library
 
 if TYPE_CHECKING:
     from mocapfix.characters.character_yaml import Rig
+    from mocapfix.characters.fingers import HandPoses
     from mocapfix.report.contact_sheet import ContactSheet, Performer
 
 RECORDING_SUFFIX, HTML_SUFFIX = "rrd", "report.html"
@@ -76,6 +78,7 @@ class OutputContent:
     report: Report  # contents of the JSON report
     comparison: CleaningComparison  # the take before and after cleaning
     hands: tuple[HandMotion, ...] = ()  # the hands whose fingers markers show
+    animation: Animation | None = None  # the cleaned animation, of an animation
     recorded: Computation[None] | None = None  # the recording, written by the second process; None in a preview
     # those of the characters, for the HTML report; the writer of each character adds its own
     sheets: "list[ContactSheet]" = field(default_factory=list)
@@ -100,6 +103,23 @@ class OutputContent:
     def exported_hands(self) -> tuple[HandMotion, ...]:
         """The hands with the floor at height 0, at the rate of the take."""
         return tuple(each.lower_floor(self.motion.floor_height_m) for each in self.hands)
+
+    @property
+    def body_with_hands(self) -> BodyWithHands:
+        """The motion as it is written, with its hands."""
+        skeleton, motion, rate = self.motion.parts
+        if not self.hands:
+            return BodyWithHands(skeleton, {0: motion.root_position}, motion.local_rotations)
+        return attach_hands(skeleton, motion, rate, self.exported_hands, self.input_take.rate)
+
+    def measure_hands(self) -> "tuple[dict[str, HandPoses], list[str]]":
+        """Return the poses of the hands by side, at the rate of the motion, and sentences for the report."""
+        from mocapfix.characters.character_files import convert_hand_motion, measure_animation_hands
+
+        if self.animation is not None:
+            return measure_animation_hands(self.animation, self.motion.rate)
+        rates = self.input_take.rate, self.motion.rate
+        return {each.hand.model.side.lower(): convert_hand_motion(each, *rates) for each in self.hands}, []
 
     @property
     def exported_contacts(self) -> BodyContacts | None:
@@ -212,7 +232,8 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
         from mocapfix.report.contact_sheet import ContactSheet, draw_contact_sheet
 
         frames = find_trimmed_frames(options.trim, content.input_take, content.motion.rate)
-        notes = files.write(target, *content.motion.parts, content.exported_contacts, frames)
+        hands, notes = content.measure_hands()
+        notes += files.write(target, *content.motion.parts, content.exported_contacts, frames, hands)
         turns = options.root_motion != ROOT_IN_PLACE
         sheet = draw_contact_sheet(content.build_performer(frames), files.character, target, turns=turns)
         content.sheets.append(ContactSheet(target.name, sheet))
@@ -235,7 +256,7 @@ def _write_sheet(target: Path, content: OutputContent) -> None:
 def _write_skeleton(target: Path, content: OutputContent) -> list[str]:
     from mocapfix.characters.character_files import write_skeleton
 
-    return write_skeleton(target, *content.motion.parts)
+    return write_skeleton(target, content.body_with_hands, content.motion.rate)
 
 
 def _write_amc(target: Path, content: OutputContent) -> None:
@@ -262,11 +283,7 @@ def _write_amass(target: Path, content: OutputContent) -> None:
 
 
 def _write_bvh(target: Path, content: OutputContent) -> None:
-    skeleton, motion, rate = content.motion.parts
-    if content.hands:
-        write_bvh_tree(target, *attach_hands(skeleton, motion, rate, content.exported_hands, content.input_take.rate), rate)
-    else:
-        write_bvh(target, skeleton, motion, rate)
+    write_bvh_tree(target, *content.body_with_hands, content.motion.rate)
 
 
 def record_cleaning(folder: Path, comparison: CleaningComparison) -> None:
@@ -315,7 +332,7 @@ DEFAULT_FORMATS = (
 OPTIONAL_FORMATS = {
     "gltf": OutputFormat(
         "glb",
-        lambda target, content: write_gltf(target, *content.motion.parts),
+        lambda target, content: write_gltf(target, *content.body_with_hands, content.motion.rate),
         needs_body=True,
         usage_note="is binary glTF: metres, Y up.",
     ),

@@ -26,6 +26,7 @@ from mocapfix.io.changes_file import NO_REVIEW, Review
 from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
 from mocapfix.io.resampling import is_frame_subset
 from mocapfix.labels.multi_subject import SubjectExchanges
+from mocapfix.model.animation import Animation
 from mocapfix.model.changes import Change, Decided, UnfilledRun, serialize_changes
 from mocapfix.model.detected import find_namesakes
 from mocapfix.model.faults import MISSING_KINDS, SHIFT_KINDS, Fault, Faults, Fragment, overlap_in_time
@@ -197,6 +198,11 @@ class CleaningResult:
         return self.take
 
     @property
+    def cleaned_animation(self) -> Animation | None:
+        """The cleaned animation, None of a take with markers."""
+        return None
+
+    @property
     def subject_report(self) -> Report:
         """Report of a take of at most one subject."""
         if "people" in self.report:
@@ -257,7 +263,9 @@ class CleaningResult:
         final_report["times"] = timer.part_times
         result = replace(self, report=final_report)._drop_samples(unstorable)
         written = result.contacts, result.changes, result.review, result.subject_report, result.comparison
-        content = OutputContent(self.input_take, result.output_take, exported_motion, *written, hands=self.hands)
+        content = OutputContent(
+            self.input_take, result.output_take, exported_motion, *written, hands=self.hands, animation=self.cleaned_animation
+        )
         source_suffixes, default = get_source_suffixes(self.input_take.path), (BVH_FORMAT, *DEFAULT_FORMATS)
         formats = [each for each in list_output_formats(options) if self._can_write(each) and each.suffix not in source_suffixes]
         for each in (each for each in formats if each not in default):  # first, for the HTML report has their notes

@@ -6,7 +6,7 @@ are those of the world in this pose. `standard_rotations` has C, the axes of a s
 R = S C for the world rotations R of the bone and S of the segment. Retargeting keeps S.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import (
+    FINGERS,
     LIMB_ENDS,
     SIDE_SEGMENTS,
     SIDES,
@@ -21,6 +22,13 @@ from mocapfix.characters.character import (
     CharacterMotion,
     compute_character_poses,
     get_next_segment,
+)
+from mocapfix.characters.fingers import (
+    HandPoses,
+    compute_palm_roll,
+    compute_straight_finger,
+    fit_finger,
+    measure_finger,
 )
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations, scale_rotations
 
@@ -157,8 +165,11 @@ class BodyFrame:
         return self.ball_height_m - float(np.mean([self.compute_ball(side)[1] for side in SIDES]))
 
 
-def build_body_frame(character: Character) -> BodyFrame:
-    """Compute the standard pose of a character from its rest pose. The mapping must have all required segments."""
+def build_body_frame(character: Character, hands: Collection[str] = ()) -> BodyFrame:
+    """Compute the standard pose of a character from its rest pose. The mapping must have all required segments.
+
+    `hands` are the sides whose fingers are posed: their palms are level where the knuckles are, whatever the forearms show.
+    """
     position, rotation = character.skeleton.compute_rest_pose()
     bones = character.mapping.bones
     facing, ends = compute_facing(character), character.skeleton.compute_rest_ends()
@@ -173,7 +184,58 @@ def build_body_frame(character: Character) -> BodyFrame:
         for segment, chain in (*bones.items(), *character.mapping.twists.items())
         for bone in chain
     }
+    for side in hands:
+        axes, hand = turns[f"{side}_hand"] @ facing.T, segment_bones[f"{side}_hand"]
+        axes = compute_palm_roll(character, position @ axes.T, side) @ axes
+        standard[hand] = axes @ rotation[hand]
+        for name, finger in list_fingers(character, side).items():
+            straight, _ = compute_straight_finger(side, finger)
+            for bone, vector in zip(
+                character.mapping.fingers[name], measure_finger(character, position, ends, name), strict=True
+            ):
+                standard[bone] = compute_shortest_rotation(axes @ vector, straight) @ axes @ rotation[bone]
     return BodyFrame(character, segment_bones, standard, position, ends, rotation, facing)
+
+
+def list_fingers(character: Character, side: str) -> dict[str, str]:
+    """Return the mapped fingers of a hand: such as left_index to index."""
+    names = {f"{side}_{finger}": finger for finger in FINGERS}
+    return {name: finger for name, finger in names.items() if name in character.mapping.fingers}
+
+
+MIN_FINGER_MOTION = (
+    1e-6  # difference of an element of a rotation relative to the hand from the rest pose, from which fingers move
+)
+
+
+def measure_hand_poses(character: Character, rotation: Float[np.ndarray, "T J 3 3"]) -> dict[str, HandPoses]:
+    """Return the poses of the hands by side from the rotations of all bones in the world, of hands whose fingers move."""
+    mapping, rest = character.mapping, character.skeleton.compute_rest_pose()[1]
+    sides = [side for side in SIDES if f"{side}_hand" in mapping.bones and list_fingers(character, side)]
+    frame, found = build_body_frame(character, sides), dict[str, HandPoses]()
+    for side in sides:
+        hand, fingers, is_moving = frame.segment_bones[f"{side}_hand"], dict[str, np.ndarray](), False
+        for name, finger in list_fingers(character, side).items():
+            bones = list(mapping.fingers[name])
+            relative = rotation[:, [hand]].swapaxes(-1, -2) @ rotation[:, bones]
+            is_moving |= bool((np.abs(relative - rest[hand].T @ rest[bones]) > MIN_FINGER_MOTION).any())
+            standard = np.stack([frame.standard_rotations[bone].T for bone in bones])
+            fingers[finger] = frame.standard_rotations[hand] @ relative @ standard
+        if is_moving:
+            found[side] = HandPoses(rotation[:, hand] @ frame.standard_rotations[hand].T, fingers)
+    return found
+
+
+def pose_fingers(
+    frame: BodyFrame, side: str, palm: Float[np.ndarray, "T 3 3"], hand: HandPoses
+) -> dict[int, Float[np.ndarray, "T 3 3"]]:
+    """Return the world rotations of the bones of a hand's fingers, by bone, on a palm with these axes in the world."""
+    posed: dict[int, np.ndarray] = {}
+    for name, finger in list_fingers(frame.character, side).items():
+        bones = frame.character.mapping.fingers[name]
+        if (poses := fit_finger(hand, side, finger, len(bones))) is not None:
+            posed |= {bone: palm @ poses[:, k] @ frame.standard_rotations[bone] for k, bone in enumerate(bones)}
+    return posed
 
 
 def compute_facing(character: Character) -> Float[np.ndarray, "3 3"]:

@@ -25,6 +25,8 @@ SINGLE_BONE_SEGMENTS = (
     "pelvis", "head", *(f"{side}_{segment}" for side in SIDES for segment in ("clavicle", "hand", "foot", "toe")),
 )  # fmt: skip
 """Segments of one bone; the others may have several: vertebrae, or parts of a limb that share its twist."""
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+FINGER_BONE_COUNTS = (2, 3)  # bones of a finger that turn, without metacarpal
 REQUIRED_SEGMENTS = ("pelvis", *(f"{side}_{segment}" for side in SIDES for segment in (*LIMB_ENDS, "foot")))
 
 
@@ -44,6 +46,8 @@ class BoneMapping:
     # segment (one of TWISTING_SEGMENTS) to bones beside the chain that only take a share of a twist, from near to far
     twists: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     reason: str = ""  # sentence on how the mapping was found
+    # finger of a side ("left_" and one of FINGERS) to its bones from the palm to the tip; those of the body do without them
+    fingers: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property
     def missing_segments(self) -> list[str]:
@@ -52,11 +56,11 @@ class BoneMapping:
 
     def renumber(self, place: Mapping[int, int] | Sequence[int]) -> "BoneMapping":
         """Return the mapping with the new index of each bone, which `place` gives by the old one."""
-        bones, twists = (
+        bones, twists, fingers = (
             {segment: tuple(place[bone] for bone in chain) for segment, chain in group.items()}
-            for group in (self.bones, self.twists)
+            for group in (self.bones, self.twists, self.fingers)
         )
-        return replace(self, bones=bones, twists=twists)
+        return replace(self, bones=bones, twists=twists, fingers=fingers)
 
     def add_sentence(self, sentence: str) -> "BoneMapping":
         """Return the mapping with a sentence behind its reason."""
@@ -210,6 +214,7 @@ def build_bone_mapping(
     parents: Int[np.ndarray, " J"],
     segments: Mapping[str, Sequence[str]],
     twists: Mapping[str, Sequence[str]],
+    fingers: Mapping[str, Sequence[str]] | None = None,
     *,
     reason: str,
     source: str,
@@ -221,6 +226,7 @@ def build_bone_mapping(
         parents: (J,) index of each bone's parent, -1 for roots.
         segments: Segment to the names of its bones, from the pelvis outwards.
         twists: Segment to the names of the twist bones beside its chain, from near to far.
+        fingers: Finger, such as left_index, to the names of its bones from the palm to the tip.
         reason: Sentence on how the mapping was found.
         source: File that gives the names, for error messages.
 
@@ -231,10 +237,12 @@ def build_bone_mapping(
     indices: dict[str, int] = {}
     for bone, name in enumerate(names):
         indices.setdefault(name, bone)
-    _check_segment_names(segments, twists, source)
+    fingers = fingers or {}
+    _check_segment_names(segments, twists, fingers, source)
     uses: dict[str, str] = {}
     groups = {f"segments.{each}": bones for each, bones in segments.items()}
     groups |= {f"twists.{each}": bones for each, bones in twists.items()}
+    groups |= {f"fingers.{each}": bones for each, bones in fingers.items()}
     for key, name in ((key, name) for key, bones in groups.items() for name in bones):
         if name not in indices:
             raise SceneError(f"{source}: {key}: there is no bone {name!r} in this character; check its spelling.")
@@ -246,6 +254,7 @@ def build_bone_mapping(
         bones,
         {segment: tuple(indices[name] for name in twists[segment]) for segment in TWISTING_SEGMENTS if twists.get(segment)},
         reason,
+        {finger: tuple(indices[name] for name in chain) for finger, chain in fingers.items() if chain},
     )
     if missing := mapping.missing_segments:
         raise SceneError(f"{source}: segments.{missing[0]}: is missing; a body needs {', '.join(missing)}.")
@@ -253,7 +262,9 @@ def build_bone_mapping(
     return mapping
 
 
-def _check_segment_names(segments: Mapping[str, Sequence[str]], twists: Mapping[str, Sequence[str]], source: str) -> None:
+def _check_segment_names(
+    segments: Mapping[str, Sequence[str]], twists: Mapping[str, Sequence[str]], fingers: Mapping[str, Sequence[str]], source: str
+) -> None:
     for segment, bones in segments.items():
         if segment not in SEGMENTS:
             raise SceneError(f"{source}: segments.{segment}: there is no such segment; the segments are {', '.join(SEGMENTS)}.")
@@ -264,16 +275,22 @@ def _check_segment_names(segments: Mapping[str, Sequence[str]], twists: Mapping[
             raise SceneError(
                 f"{source}: twists.{segment}: there are no such twist bones; they are those of {', '.join(TWISTING_SEGMENTS)}."
             )
+    known = [f"{side}_{finger}" for side in SIDES for finger in FINGERS]
+    for name, bones in fingers.items():
+        if name not in known or len(bones) not in (0, *FINGER_BONE_COUNTS):
+            raise SceneError(f"{source}: fingers.{name}: must have two or three bones and be one of {', '.join(known)}.")
 
 
 def _check_order(names: Sequence[str], parents: Int[np.ndarray, " J"], mapping: BoneMapping, source: str) -> None:
-    for chain in SEGMENT_CHAINS:
+    groups, fingers = {**mapping.bones, **mapping.fingers}, [(f"{each.partition('_')[0]}_hand", each) for each in mapping.fingers]
+    for chain in (*SEGMENT_CHAINS, *fingers):
         above = -1
         for segment in chain:
-            for bone in mapping.bones.get(segment, ()):
+            keys = "fingers" if segment in mapping.fingers else "segments"
+            for bone in groups.get(segment, ()):
                 if above >= 0 and not is_below(bone, above, parents):
                     raise SceneError(
-                        f"{source}: segments.{segment}: the bone {names[bone]!r} is not below {names[above]!r}; name the bones "
+                        f"{source}: {keys}.{segment}: the bone {names[bone]!r} is not below {names[above]!r}; name the bones "
                         "from the pelvis outwards, each below the one before."
                     )
                 above = bone

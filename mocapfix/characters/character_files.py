@@ -13,14 +13,16 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.body_frames import build_body_frame, measure_hand_poses
 from mocapfix.characters.character import (
+    FINGERS,
     SIDES,
     Character,
     CharacterMotion,
@@ -31,10 +33,14 @@ from mocapfix.characters.character import (
 from mocapfix.characters.character_yaml import write_mapping_file
 from mocapfix.characters.clips import carry_path, close_loop, list_source_joints, name_whole_stride, prepare_root_bone
 from mocapfix.characters.fbx import write_fbx
+from mocapfix.characters.fingers import HandPoses, has_named_fingers
 from mocapfix.characters.kept_positions import resample_foot_contacts
+from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import BodyContacts, build_no_contacts
-from mocapfix.errors import WriteError
+from mocapfix.errors import ReadError, SceneError, WriteError
+from mocapfix.hands.hand_model import JOINTS_PER_RAY
+from mocapfix.hands.solve_hands import BodyWithHands, HandMotion
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
 from mocapfix.io.files import make_scratch_folder, replace_atomically
 from mocapfix.io.gltf import (
@@ -50,9 +56,11 @@ from mocapfix.io.gltf import (
 )
 from mocapfix.io.gltf_mesh import NODE_PROPERTIES
 from mocapfix.io.npz import write_character_npz
+from mocapfix.io.resampling import resample_motion
 from mocapfix.io.usd import write_usd
+from mocapfix.model.animation import Animation
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton, decompose_transforms
+from mocapfix.model.skeleton import Skeleton, decompose_transforms, make_names_unique
 from mocapfix.options import ROOT_BONE, OutputOptions
 
 MIN_MOVED_ELEMENT = 1e-6
@@ -263,6 +271,34 @@ def _choose_ends(
     return ends
 
 
+def convert_hand_motion(hand: HandMotion, hand_rate: float, rate: float) -> HandPoses:
+    """Return the poses of a solved hand at another rate; both are in frames per second."""
+    rotations = resample_motion(hand.motion, hand_rate, rate).local_rotations
+    first, second, third = (rotations[:, 1 + joint :: JOINTS_PER_RAY] for joint in range(JOINTS_PER_RAY))
+    turned = np.stack([first, first @ second, first @ second @ third], axis=2)
+    return HandPoses(rotations[:, 0], {finger: turned[:, k] for k, finger in enumerate(FINGERS)})
+
+
+def measure_animation_hands(animation: Animation, rate: float) -> tuple[dict[str, HandPoses], list[str]]:
+    """Return the hands of a BVH whose fingers move, at another rate in frames per second, and sentences for the report.
+
+    The file is a character, whose rest pose shows where its fingers point.
+    """
+    if animation.path is None or animation.skeleton_path is not None or not has_named_fingers(animation.names, animation.parents):
+        return {}, []
+    try:
+        character = load_character(animation.path)
+        if not np.allclose(character.rotation_y_up_file, animation.rotation_y_up_file):
+            raise SceneError(f"{animation.name}: its rest pose is not upright.")
+    except (ReadError, SceneError) as error:
+        return {}, [f"The fingers of {animation.name} are not on characters: {error}"]
+    names, count = list(make_names_unique(animation.names)), animation.frame_count
+    world = animation.compute_world_poses()[1][:, [names.index(name) for name in character.skeleton.names]]
+    none = np.zeros(count, int)
+    motion = Motion(np.zeros((count, 3)), world, none, none, np.zeros((count, 0)), np.zeros((count, world.shape[1])))
+    return measure_hand_poses(character, resample_motion(motion, animation.rate, rate).local_rotations), []
+
+
 OTHER_SUFFIXES = ("bvh", "npz", "map.yaml")  # of the files beside the GLB
 GLB_CONVERTERS: dict[str, Callable[[Path, Path, float], str | None]] = {"fbx": write_fbx, "usd": write_usd}
 """Formats of a whole character that are written from its GLB: suffix to a function of the file, the GLB and frames per second. It
@@ -297,21 +333,24 @@ class CharacterFiles:
         rate: float,
         contacts: BodyContacts | None = None,
         frames: slice = slice(None),
+        hands: Mapping[str, HandPoses] = MappingProxyType({}),
     ) -> list[str]:
         """Write the motion of a solved skeleton, retargeted onto the character, into a GLB or VRM and files beside it.
 
-        If the feet of the motion are locked in its contacts, so are the character's. `frames` are those that are written.
+        If the feet of the motion are locked in its contacts, so are the character's. `frames` are those that are written. `hands`
+        are those of the motion, by side; the fingers of others keep their rest pose.
 
         Returns sentences for the report. Raises WriteError if a file is not writable.
         """
         root_motion, source = self.options.root_motion, build_cmu31_character(skeleton)
         character = prepare_root_bone(self.character) if root_motion == ROOT_BONE else self.character
-        retargeted = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts)
+        retargeted = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts, hands=hands)
         delivered = retargeted.select_frames(frames)
         if not delivered.frame_count:
             raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, as the legs are."]
+        notes += [f"{target.name}: {describe_fingers(character, hands)}"] if hands else []
         if contacts and (levels := contacts.floor.level_heights_m):
             lowest_m = compute_character_poses(source, convert_motion(motion, rate))[0][..., 1].min() - levels[0]
             notes += [f"{target.name}: {each}" for each in describe_depth(character, delivered, scale * min(lowest_m, 0.0))]
@@ -351,10 +390,19 @@ def describe_depth(character: Character, motion: CharacterMotion, lowest_m: floa
     return [f"{where} of the file, the deepest: the figure does not reach the performer's pose there; correct it by hand."]
 
 
-def write_skeleton(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> list[str]:
+def describe_fingers(character: Character, hands: Mapping[str, HandPoses]) -> str:
+    """Return a sentence on which bones of a character follow the fingers of hands."""
+    counts = {side: sum(name.startswith(side) for name in character.mapping.fingers) for side in hands}
+    parts = [f"{count} of the {side} hand" for side, count in counts.items()]
+    return f"Fingers that follow those of the take: {', '.join(parts)}{'' if any(counts.values()) else ' (no bones are known)'}."
+
+
+def write_skeleton(target: Path, body: BodyWithHands, rate: float) -> list[str]:
     """Write the solved skeleton in one of GLB_CONVERTERS. Returns sentences for the report. Raises WriteError."""
+    others = {joint: each for joint, each in body.positions.items() if joint}
+    motion = CharacterMotion(body.positions[0], body.local_rotations, rate, others)
     with make_scratch_folder() as folder:
         glb = folder / f"{target.stem}.glb"
-        write_character_glb(glb, build_cmu31_character(skeleton), convert_motion(motion, rate), target.stem)
+        write_character_glb(glb, build_cmu31_character(body.skeleton), motion, target.stem)
         problem = GLB_CONVERTERS[target.suffix[1:]](target, glb, rate)
     return [problem] if problem else []

@@ -223,11 +223,15 @@ MAPPING_FILE_HEADER = """\
 #   the result are tilted to the side.
 # All other bones keep their rest pose: fingers, face, hair, clothes. They are listed at the end.
 """
+FINGERS_COMMENT = (
+    "# fingers: two or three bones that follow those of a take, from palm to tip; an empty list [] keeps the rest pose.\n"
+)
 
 
 class _MappingModel(StrictModel):
     segments: dict[str, BoneNames]
     twists: dict[str, BoneNames] = Field(default_factory=dict)
+    fingers: dict[str, BoneNames] | None = None  # found by their names if the file does not give them
     feet_flat: bool | None = None
 
 
@@ -247,6 +251,9 @@ def write_mapping_file(target: str | Path, character: Character) -> None:
     header = MAPPING_FILE_HEADER.format(
         name=_flatten(character.name), reason=_flatten(mapping.reason), required=", ".join(required)
     )
+    if mapping.fingers:
+        data["fingers"] = {finger: _list_names(names, mapping.fingers, finger) for finger in mapping.fingers}
+        header = header.replace("fingers, face", "face") + FINGERS_COMMENT
     with replace_atomically(Path(target)) as new_file:
         text = header + dump_yaml(data) + _comment_unmapped_bones(names, mapping)
         new_file.write_text(text, encoding="utf-8", newline="\n")
@@ -266,9 +273,15 @@ def read_mapping_file(path: str | Path, character: Character) -> BoneMapping:
         character.skeleton.parents,
         model.segments,
         model.twists,
+        model.fingers,
         reason=f"The mapping file {path.name}.",
         source=str(path),
     )
+
+
+def has_fingers(path: str | Path) -> bool:
+    """Return whether a mapping file gives the bones of fingers. Raises SceneError."""
+    return read_yaml_model(_MappingModel, Path(path)).fingers is not None
 
 
 def read_feet_flat(path: str | Path) -> bool | None:
@@ -288,7 +301,7 @@ def _list_names(names: tuple[str, ...], group: Mapping[str, tuple[int, ...]], se
 
 def _comment_unmapped_bones(names: tuple[str, ...], mapping: BoneMapping) -> str:
     """Return comment lines that name the bones without a segment."""
-    used = {bone for group in (mapping.bones, mapping.twists) for chain in group.values() for bone in chain}
+    used = {bone for group in (mapping.bones, mapping.twists, mapping.fingers) for chain in group.values() for bone in chain}
     lines = ["# bones without a segment:"]
     for bone, name in enumerate(names):
         if bone not in used:

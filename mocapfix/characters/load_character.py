@@ -27,8 +27,9 @@ from mocapfix.characters.character import (
     compute_tail,
     reparent_bones,
 )
-from mocapfix.characters.character_yaml import apply_mapping_file, read_character_yaml, read_feet_flat
+from mocapfix.characters.character_yaml import apply_mapping_file, has_fingers, read_character_yaml, read_feet_flat
 from mocapfix.characters.fbx import convert_fbx, is_fbx
+from mocapfix.characters.fingers import find_fingers
 from mocapfix.characters.read_gltf import is_gltf, open_gltf, parse_character_gltf, read_gltf_skeletons
 from mocapfix.characters.rest_poses import choose_rest_pose
 from mocapfix.errors import ReadError, SceneError, format_name_list
@@ -193,6 +194,10 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
             character = apply_mapping_file(mapping_path, character)
         elif character.mapping.missing_segments:
             character = replace(character, mapping=map_bones(character))
+        if mapping_path is None or not has_fingers(mapping_path):
+            tree, mapping = character.skeleton, character.mapping
+            fingers = find_fingers(tree.names, tree.parents, tree.rest_positions, mapping.bones)
+            character = replace(character, mapping=replace(mapping, fingers=fingers))
         character, strays = attach_stray_bones(character)
         if names := [skeleton.names[bone] for bone in moved] + strays:
             sentence = f"The body moves {format_name_list(names)}, though none of its bones carries them."

@@ -20,6 +20,7 @@ all. A forearm or shin twists with the hand or foot: near the elbow or knee its 
 wrist most. So the skin does not wring at one joint.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -38,8 +39,12 @@ from mocapfix.characters.body_frames import (
     build_body_frame,
     compute_segment_motion,
     fit_chain,
+    list_fingers,
+    measure_hand_poses,
+    pose_fingers,
 )
-from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, CharacterMotion
+from mocapfix.characters.character import LIMB_ENDS, SIDES, Character, CharacterMotion, compute_character_poses
+from mocapfix.characters.fingers import HandPoses
 from mocapfix.characters.kept_positions import Points, Rotations
 from mocapfix.characters.limb_fit import compute_pushes, fit_arms, fit_legs
 from mocapfix.contacts.contacts import NO_FLOOR, BodyContacts, Floor
@@ -249,7 +254,12 @@ def _find_share_along(frame: BodyFrame, bone: int, start: str, end: str) -> floa
 
 
 def retarget_motion(
-    source: Character, motion: CharacterMotion, target: Character, *, contacts: BodyContacts | None = None
+    source: Character,
+    motion: CharacterMotion,
+    target: Character,
+    *,
+    contacts: BodyContacts | None = None,
+    hands: Mapping[str, HandPoses] | None = None,
 ) -> CharacterMotion:
     """Return the motion of a target character that moves like the source.
 
@@ -261,14 +271,20 @@ def retarget_motion(
         target: The target.
         contacts: Of the source, at any rate. Their floor comes to height 0, feet that lie flat do so on the target, and if the
             feet of the source were locked in them, so are the target's. Without contacts the source's floor is at height 0.
+        hands: Of the source, in the same frames, by side; by default those of its bones. Fingers of other hands keep their rest
+            pose.
     """
-    frames = build_body_frame(source), build_body_frame(target)
+    if hands is None:
+        hands = measure_hand_poses(source, compute_character_poses(source, motion)[1]) if source.mapping.fingers else {}
+    posed = [side for side in hands if list_fingers(target, side)]
+    frames = build_body_frame(source), build_body_frame(target, posed)
     tree = build_solve_tree(frames[1])
     segments = compute_segment_motion(frames[0], motion)
+    segments = replace(segments, rotation={**segments.rotation, **{f"{side}_hand": hands[side].palm for side in posed}})
     targets = compute_segment_targets(frames, tree, segments, contacts, motion.rate)
     floor = NO_FLOOR if contacts is None else contacts.floor
     poses = solve_pushed_segments(frames, tree, targets, segments, floor, motion.rate)
-    return compose_character_motion(frames[1], tree, *poses, motion.rate)
+    return compose_character_motion(frames[1], tree, *poses, motion.rate, {side: hands[side] for side in posed})
 
 
 MAX_PUSHES = 3
@@ -358,9 +374,9 @@ def spread_rotations(source: BodyFrame, target: BodyFrame, tree: SolveTree, segm
 
 
 def compose_character_motion(
-    frame: BodyFrame, tree: SolveTree, pelvis: Points, local: JointRotations, rate: float
+    frame: BodyFrame, tree: SolveTree, pelvis: Points, local: JointRotations, rate: float, hands: Mapping[str, HandPoses]
 ) -> CharacterMotion:
-    """Return the motion of all bones of a character from the pelvis in the world and the local rotations of a solve tree."""
+    """Return the motion of all bones from the pelvis in the world, the local rotations of a solve tree, and the hands by side."""
     skeleton, mapping = frame.character.skeleton, frame.character.mapping
     _, world = compute_tree_poses(tree.kernel_tree, pelvis, local)
     standard = world @ np.swapaxes(tree.standard_rotations, 1, 2)
@@ -368,6 +384,8 @@ def compose_character_motion(
     for side in SIDES:
         rotation.setdefault(f"{side}_clavicle", standard[:, max(tree.chest, 0)])
     placed = {int(bone): world[:, k] for k, bone in enumerate(tree.bones)} | compute_twisted_bones(frame, rotation)
+    for side, hand in hands.items():
+        placed |= pose_fingers(frame, side, rotation[f"{side}_hand"], hand)
     source_joints = np.full(len(skeleton.names), -1)
     source_joints[list(placed)] = np.arange(len(placed))
     alignment = SkeletonAlignment(skeleton, source_joints, np.tile(np.eye(3), (len(skeleton.names), 1, 1)))

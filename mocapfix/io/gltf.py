@@ -23,7 +23,6 @@ from jaxtyping import Float, Int, Shaped
 from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.files import replace_atomically
 from mocapfix.kernels import lie
-from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, make_names_unique
 
 GLB_MAGIC = b"glTF"
@@ -469,9 +468,19 @@ def _build_pyramid(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"])
     return (start + PYRAMID_CORNERS @ axes)[PYRAMID_FACES].reshape(-1, 3)
 
 
-def write_gltf(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> None:
-    """Write a motion at `rate` frames per second. Raises WriteError if `target` is not writable."""
+def write_gltf(
+    target: Path,
+    skeleton: Skeleton,
+    positions: Mapping[int, Float[np.ndarray, "T 3"]],
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    rate: float,
+) -> None:
+    """Write a motion at `rate` frames per second. Raises WriteError if `target` is not writable.
+
+    Args:
+        positions: Joint to its positions in metres in its parent's axes, of the root in the world; the root and others that move.
+    """
     buffer, nodes_of_joints = build_skinned_document(skeleton, skeleton.parents), dict(enumerate(range(len(skeleton.names))))
-    add_animation(buffer, target.stem, motion.local_rotations, {0: motion.root_position}, nodes_of_joints, rate)
+    add_animation(buffer, target.stem, local_rotations, dict(positions), nodes_of_joints, rate)
     with replace_atomically(Path(target)) as part:
         part.write_bytes(build_glb(GlbContent(buffer.document, buffer.finish())))

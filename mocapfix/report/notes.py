@@ -114,8 +114,7 @@ def describe_hands(detected: Detected, subject: Subject, hands: Sequence[HandMot
         reason = "no marker shows the forearm"
     lengths = [f"{name} ({length})" for name, length in zip(found, solved.values(), strict=True)]
     return [
-        *[f"The fingers of the {join_words(lengths)} are solved from their markers; BVH and --also npz have them."]
-        * bool(solved),
+        *[f"The fingers of the {join_words(lengths)} are solved from their markers; files of motion have them."] * bool(solved),
         *[f"The finger markers of the {join_words(missed)} are filled and not solved: {reason}."] * bool(left),
     ]
 

@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix import pipeline
 from mocapfix.characters.character_yaml import load_rig
 from mocapfix.errors import WriteError
 from mocapfix.hands.hand_model import HAND_JOINTS
-from mocapfix.hands.solve_hands import attach_hands, solve_hand
+from mocapfix.hands.solve_hands import ATTACHED_NAMES, attach_hands, solve_hand
 from mocapfix.io.bvh import read_bvh, write_bvh, write_bvh_tree
 from mocapfix.io.c3d import write_c3d
+from mocapfix.io.gltf import write_gltf
 from mocapfix.lab.hands import compose_hands
 from mocapfix.model.windows import select_frames
 from mocapfix.options import ReadOptions
@@ -17,6 +19,7 @@ from mocapfix.output_formats import write_rig_bvh
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.synthetic import compose_motion, draw_subject
 from tests.hands.composed_hands import FRAMES, RATE_HZ, build_hand, carry_markers, compose_poses
+from tests.io.test_gltf import read as read_glb
 
 
 def compose_hands_on_body(sides=("Left", "Right")):
@@ -72,7 +75,33 @@ def test_a_cleaned_take_has_its_hands_in_the_bvh_above_the_floor(tmp_path):
     for hand in result.hands:
         assert measure_distances(read, hand.lower_floor(0.25), np.arange(300)).max() < 1e-6
     assert len(result.hands) == 2
-    assert any("BVH" in note and "left hand" in note for note in result.subject_report["notes"])
+    assert any("left hand" in note for note in result.subject_report["notes"])
+
+
+def read_gltf_positions(path):
+    """Return the positions of the nodes of a GLB in the frames of its animation, by name."""
+    glb = read_glb(path)
+    parents = {child: index for index, node in enumerate(glb.json["nodes"]) for child in node.get("children", [])}
+    moved = {each["target"]["node"] for each in glb.json["animations"][0]["channels"] if each["target"]["path"] == "translation"}
+    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    for index, node in enumerate(glb.json["nodes"]):
+        if "mesh" not in node:
+            rotation = Rotation.from_quat(glb.read_channel(index, "rotation")).as_matrix()
+            place = glb.read_channel(index, "translation") if index in moved else np.array(node["translation"])[None]
+            above, axes = found.get(parents.get(index, -1), (np.zeros((1, 3)), np.eye(3)[None]))
+            found[index] = above + (axes @ place[..., None])[..., 0], axes @ rotation
+    return {glb.json["nodes"][index]["name"]: position for index, (position, _) in found.items()}
+
+
+def test_the_joints_of_a_gltf_are_where_they_were_solved(tmp_path):
+    skeleton, motion, hands = compose_hands_on_body()
+    write_gltf(tmp_path / "hands.glb", *attach_hands(skeleton, motion, RATE_HZ, hands, RATE_HZ), RATE_HZ)
+    positions = read_gltf_positions(tmp_path / "hands.glb")
+    for hand in hands:
+        side = hand.hand.model.side
+        names = [f"{side}{name}" for name in ATTACHED_NAMES]
+        solved = np.concatenate([hand.palm_position[:, None], hand.point_positions[:, : len(HAND_JOINTS)]], axis=1)
+        np.testing.assert_allclose(np.stack([positions[name] for name in names], axis=1), solved, atol=1e-5)
 
 
 @pytest.mark.parametrize(("name", "first"), [("blender", 0), ("motionbuilder", 1)])

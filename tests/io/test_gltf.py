@@ -61,7 +61,7 @@ def read(path) -> Glb:
 @pytest.fixture(scope="module")
 def glb(tmp_path_factory) -> Glb:
     path = tmp_path_factory.mktemp("gltf") / "walk.glb"
-    write_gltf(path, SKELETON, MOTION, 120.0)
+    write_gltf(path, SKELETON, {0: MOTION.root_position}, MOTION.local_rotations, 120.0)
     return read(path)
 
 
@@ -143,5 +143,5 @@ def test_the_mesh_follows_the_joints_and_faces_outwards(glb):
 
 def test_a_missing_folder_is_refused_and_no_file_remains(tmp_path):
     with pytest.raises(WriteError, match="nowhere"):
-        write_gltf(tmp_path / "nowhere" / "walk.glb", SKELETON, MOTION, 120.0)
+        write_gltf(tmp_path / "nowhere" / "walk.glb", SKELETON, {0: MOTION.root_position}, MOTION.local_rotations, 120.0)
     assert not list(tmp_path.iterdir())

@@ -175,7 +175,7 @@ def describe_fingers(hands, *, is_preview=False, is_visible=True, has_forearm=Tr
 
 
 def test_finger_markers_that_are_not_solved_are_named_with_the_reason():
-    solved = "The fingers of the left hand (189 mm long) are solved from their markers; BVH and --also npz have them."
+    solved = "The fingers of the left hand (189 mm long) are solved from their markers; files of motion have them."
     unused = "The finger markers of the right hand are filled and not solved: none of their samples can be used."
     assert describe_fingers([build_left_hand()], is_visible=False) == [solved, unused]
     (preview,) = describe_fingers([], is_preview=True)

@@ -30,7 +30,6 @@ from mocapfix.model.animation import Animation
 from mocapfix.model.take import Take
 from mocapfix.review.take_files import find_cleaned_takes, load_take_view, trace_marker
 from mocapfix.synthetic import compose_take
-from tests.io.read_back import motion_of
 from tests.io.test_changes_file import build_change
 from tests.review.conftest import RunningServer, serve
 
@@ -1406,7 +1405,7 @@ def test_a_character_moves_beside_the_body(browser: Browser, running: RunningSer
     body = read_capture(running.folder / "walk.bvh")
     assert isinstance(body, Animation)
     roots = body.compute_local_positions()[:, 0]
-    write_gltf(running.folder / "walk.hero.glb", body.skeleton, motion_of(body.compute_local_rotations(), roots), body.rate)
+    write_gltf(running.folder / "walk.hero.glb", body.skeleton, {0: roots}, body.compute_local_rotations(), body.rate)
     (running.folder / "walk.hero.map.yaml").touch()
     page = open_page(browser, running, problems)
     page.wait_for_function("review.app.scene.character")
