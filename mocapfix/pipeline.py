@@ -202,6 +202,8 @@ def clean_subject(take: Take, review: Review, options: CleanOptions, timer: Stag
     if cleaned is None:
         cleaned = run_stages(take, identify_subject(take, options.subject), review, options, timer)
     (choice, body, decided), detected = cleaned, cleaned.decided.detected
+    report = build_report(take, choice, body, decided, options, timer)
+    report["corrections"], report["notes"][:0] = review.report_corrections(options.fill)
     return CleaningResult(
         input_take=take,
         relabelled_take=detected.take,
@@ -216,7 +218,7 @@ def clean_subject(take: Take, review: Review, options: CleanOptions, timer: Stag
         contacts=body.contacts if body else None,
         hands=body.hands if body else (),
         residual_m=body.residual_m if body else None,
-        report=build_report(take, choice, body, decided, options, timer),
+        report=report,
         review=review,
     )
 
@@ -265,20 +267,19 @@ class SubjectWindow(NamedTuple):
     review: Review  # of the whole take
     options: CleanOptions
 
-    def extract(self) -> tuple[Take, Review]:
-        """Return the window as a take of its own, and its review."""
+    def extract(self) -> tuple[Take, SubjectChoice, Review]:
+        """Return the window as a take of its own, and what is known of it."""
         if not is_stored(self.whole):
-            return self.whole, self.review
+            return self.whole, self.choice, self.review
         whole = replace(self.whole)  # what it keeps of itself ends with the window
         take = extract_window(whole, self.window)
         release_pages(whole, whole.frame_count)
-        return take, self.review.select_frames(slice(self.window.first, self.window.stop))
+        return take, self.choice, self.review.select_frames(slice(self.window.first, self.window.stop))
 
     @limit_blas_threads
     def fit(self) -> FittedSubject:
         """Return it as it is fitted in `clean`."""
-        take, review = self.extract()
-        return fit_stages(take, self.choice, review, self.options, StageTimer())
+        return fit_stages(*self.extract(), self.options, StageTimer())
 
 
 @limit_blas_threads
@@ -290,7 +291,7 @@ def plan_subject(path: Path, options: CleanOptions, name: str) -> list[SubjectWi
     takes, reviews, _ = split_corrected_subjects(capture, options)
     take, review = next(pair for pair in zip(takes, reviews, strict=True) if pair[0].name == name)
     if is_stored(take):
-        return survey_windows(take, review, options)[2]
+        return plan_take(take, review, options)[2]
     window = Window(0, take.frame_count, 0, take.frame_count)
     return [SubjectWindow(take, window, identify_subject(take, options.subject), review, options)]
 
@@ -382,7 +383,7 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
     """Clean a long take of one subject window by window, two at a time, with labels, marker set and body of the whole take."""
     folder = tempfile.TemporaryDirectory(**ARRAY_FOLDER)
     with timer("survey"):
-        choice, body, windows = survey_windows(take, review, options)
+        choice, body, windows = plan_take(take, review, options)
     jobs = [partial(clean_window, each, Path(folder.name)) for each in windows]
     parts: list[CleanedSubject] = []
     with timer("windows"):
@@ -398,14 +399,11 @@ def clean_windows(take: Take, review: Review, options: CleanOptions, timer: Stag
         return CleanedSubject(choice, joined.body and body and replace(joined.body, subject=body.subject), joined.decided)
 
 
-def survey_windows(
-    take: Take, review: Review, options: CleanOptions
-) -> tuple[SubjectChoice, BodyFit | None, list[SubjectWindow]]:
+def plan_take(take: Take, review: Review, options: CleanOptions) -> tuple[SubjectChoice, BodyFit | None, list[SubjectWindow]]:
     """Return what a survey of a long take shows of its subject, the body in it, and the windows in which the take is cleaned."""
     windows, memory, (survey, frames) = plan_windows(take.visible, take.rate), load_memory(take, options), build_survey(take)
-    choice, detected, body = detect_and_fit(
-        survey, identify_subject(survey, options.subject), FaultReview(), options, StageTimer()
-    )
+    choice = identify_subject(survey, options.subject)
+    choice, detected, body = detect_and_fit(survey, choice, FaultReview(), options, StageTimer())
     check_contradictions(detected, body, options)
     with_body = f", with one body, calibrated from {len(frames) / take.rate:.0f} s of the take" if body else ""
     others = [describe_other_person(memory, body.subject.skeleton)] if memory and body else []
@@ -421,8 +419,7 @@ def clean_window(planned: SubjectWindow, folder: Path) -> WindowResult:
     """Run all stages on a window. Arrays are written into a folder: the result has 0 frames."""
     gc.collect()  # what earlier windows left: commands do without the collector, which takes a tenth of the time of a short take
     (first, _, start, end), timer = planned.window, StageTimer()
-    take, review = planned.extract()
-    choice, body, decided = run_stages(take, planned.choice, review, planned.options, timer, slice(start - first, end - first))
+    choice, body, decided = run_stages(*planned.extract(), planned.options, timer, slice(start - first, end - first))
     relabelled = decided.detected.take
     relabelled = replace(relabelled, relabelled_points=relabelled.source_points)  # in all windows, if labels change in one
     decided = replace(decided, detected=replace(decided.detected, take=relabelled))

@@ -259,7 +259,6 @@ class CleaningResult:
                 f"{what} the time of a force plate in the cleaned file; its description there tells the time before."
             ] * bool(moved)
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
-        final_report["corrections"] = [each.entry.model_dump(mode="json") for each in self.review.own_corrections]
         final_report["times"] = timer.part_times
         result = replace(self, report=final_report)._drop_samples(unstorable)
         written = result.contacts, result.changes, result.review, result.subject_report, result.comparison

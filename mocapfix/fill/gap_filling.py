@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, Int8, Shaped
 
 from mocapfix.fill.gap_estimates import FillRequest, estimate_missing_samples
 from mocapfix.fill.gap_windows import FillMethod
-from mocapfix.io.changes_file import Correction
+from mocapfix.io.changes_file import EXCLUDED_REASON, Correction
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.changes import KEYS_METHOD, Filled, compute_editable_mask
 from mocapfix.model.detected import Detected
@@ -21,7 +21,6 @@ from mocapfix.stats.marker_distances import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 
 NEVER_VISIBLE_REASON = "the marker is never visible in this take"
-EXCLUDED_REASON = "excluded from editing by --keep or --frames"
 EMPTY_REASON = "left empty in review"
 NO_ESTIMATE_REASON = "the method that was requested in review ({method}) gives no estimate"
 

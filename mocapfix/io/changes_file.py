@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from yaml import YAMLError
 
-from mocapfix.errors import SceneError, TakeError, format_name_list
+from mocapfix.errors import SceneError, TakeError, format_name_list, join_names
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import InlineSequence, dump_yaml, load_yaml
 from mocapfix.model.changes import Change, SampleState, list_affected_markers, serialize_changes
 from mocapfix.model.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Fault, FaultReview, Fragment
 from mocapfix.model.take import Take
 from mocapfix.model.windows import crop_intervals
+from mocapfix.options import FillOptions
 
 if TYPE_CHECKING:
     from mocapfix.io.yaml_files import ChangeModel, ChangesFileModel, CorrectionModel
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 MARK_REASONS = {"wrong": "A reviewer marked the samples as wrong.", "missing": "A reviewer marked the samples as missing."}
 KEYS_REASON = "A reviewer set the samples by hand."
 SWAP_REASON = "A reviewer exchanged the labels."
+EXCLUDED_REASON = "excluded from editing by --keep or --frames"
 ASSIGNMENT_REASON = "A reviewer assigned the trajectory to the marker."
 
 
@@ -65,6 +67,14 @@ class Correction:
 def list_label_corrections(corrections: Sequence[Correction]) -> list[Fault]:
     """Return the faults of labels that corrections name, in their order."""
     return [fault for each in corrections if (fault := each.label_fault)]
+
+
+def is_prevented(entry: "CorrectionModel", options: FillOptions) -> bool:
+    """Return whether the options `keep` and `frames` prevent a correction: that of labels for any sample, another for all."""
+    first, last = options.frames or (entry.first, entry.last)
+    is_outside = [entry.first < first or entry.last > last, entry.last < first or entry.first > last]
+    names = {name for each in entry.markers for name in (each, each.rpartition(":")[2])}
+    return is_outside[entry.kind not in ("swap", "assign")] or bool(names & {*options.keep})
 
 
 def locate_correction(entry: "CorrectionModel", take: Take, place: str, all_labels: Sequence[str] = ()) -> Correction:
@@ -192,6 +202,13 @@ class Review:
     def own_corrections(self) -> list[Correction]:
         """Those in the changes file of the take; exchanges with a subject may stand in the file of that subject."""
         return [each for each in self.corrections if len(each.markers) == len(each.entry.markers)]
+
+    def report_corrections(self, options: FillOptions) -> tuple[list[dict[str, Any]], list[str]]:
+        """Return those of its own that are made, as in the file, and notes on those that the options prevent."""
+        own = [(each.entry, is_prevented(each.entry, options)) for each in self.own_corrections]
+        note = f"A correction is not made ({{0.kind}} {{1}}, frames {{0.first}} to {{0.last}}): {EXCLUDED_REASON}."
+        notes = [note.format(each, join_names(each.markers)) for each, is_left in own if is_left]
+        return [each.model_dump(mode="json") for each, is_left in own if not is_left], notes
 
     def select_frames(self, frames: slice) -> "Review":
         """Return the review of a part of the take."""

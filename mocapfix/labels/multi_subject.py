@@ -412,7 +412,8 @@ def correct_subject_labels(
     names = [part.subject_name for part in parts if part.subject_name != UNASSIGNED_SUBJECT]
     is_editable = compute_editable_mask(take, options.fill)
     declined = [each for review in reviews for each in review.declined if each.entry.kind == "swap"]
-    own = (each for review in reviews for each in review.own_corrections if each.is_exchange)
+    by_name = sorted(zip(parts, reviews, strict=False), key=lambda pair: pair[0].subject_name)  # as on the page of a review
+    own = (each for _, review in by_name for each in review.own_corrections if each.is_exchange)
     made = [(each, tuple(map(take.labels.index, each.entry.markers))) for each in own]
     faults = [Fault("swap", m, each.first, each.last, np.nan, SWAP_REASON, other_markers=(other,)) for each, (m, other) in made]
     faults = [each for each in faults if is_editable[each.frame_slice][:, list(each.markers)].all()]

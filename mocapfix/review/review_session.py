@@ -21,13 +21,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
-from mocapfix.io.changes_file import Review, locate_correction
+from mocapfix.io.changes_file import EXCLUDED_REASON, Review, is_prevented, locate_correction
 from mocapfix.io.files import hold_process_lock
 from mocapfix.io.yaml_files import ChangesFileModel, CorrectionModel
 from mocapfix.model.faults import SHIFT_KINDS, RequestedFill
 from mocapfix.model.stage_timer import STAGE_LINES_VARIABLE, parse_stage_line
 from mocapfix.model.take import Take
-from mocapfix.options import OPTION_BY_NAME, CleanOptions, format_arguments
+from mocapfix.options import OPTION_BY_NAME, CleanOptions, FillOptions, format_arguments
 from mocapfix.output_formats import get_file_version
 from mocapfix.report.sample_states import find_worst_change, group_changes
 from mocapfix.review import take_files
@@ -160,9 +160,8 @@ def estimate_fills(
             *known, one = Review(corrections=tuple(located)).select_frames(slice(first, stop)).corrections
             requests = [[*known, replace(one, entry=wanted.model_copy(update={"method": each}))] for each in methods]
             for part, filled in zip(parts, _fit_window(subject, n).fill_gaps(requests, subject[2]), strict=True):
-                samples = frames, one.markers[0]
-                rows = np.c_[filled.take.markers[samples], filled.take.estimated_sd[samples]]
-                part.append((rows, filled.unfilled_reasons[samples]))
+                take, at = filled.take, (frames, one.markers[0])
+                part.append((np.c_[take.markers[at], take.estimated_sd[at]], filled.unfilled_reasons[at]))
     fills = list[dict[str, Any]]()
     for method, (rows, reasons) in zip(methods, (map(np.concatenate, zip(*part, strict=True)) for part in parts), strict=True):
         known_m, reason = rows[~np.isnan(rows[:, 3]), 3], next(filter(None, reasons), "")
@@ -254,7 +253,7 @@ class OpenTake:
                     if id(each) not in known
                 ],
                 **({} if before else {"events": self._grouped[1]}),
-                "corrections": describe_corrections(file.corrections, made),
+                "corrections": describe_corrections(file.corrections, made, self.take.options.fill),
                 "undo_count": len(self.store.state.done),
                 "redo_count": len(self.store.state.undone),
                 **self._describe_state(),
@@ -373,13 +372,14 @@ class OpenTake:
         return {"approval": entry, "state": take_files.determine_state(self.store.file, approval, revision)}
 
 
-def describe_corrections(corrections: Sequence[CorrectionModel], made: Sequence[object]) -> list[dict[str, Any]]:
-    """Return corrections as the page has them, and whether the samples are without them, since they are not `made`."""
-    entries = [each.model_dump(mode="json") for each in corrections]
+def describe_corrections(entered: list[CorrectionModel], made: Sequence[object], options: FillOptions) -> list[dict[str, Any]]:
+    """Return corrections as the page has them: whether they are not `made` yet, and why the options prevent them, "" if not."""
+    entries = [each.model_dump(mode="json") for each in entered]
     left = Counter(json.dumps(each, sort_keys=True, default=CorrectionModel.model_dump) for each in made)
-    for entry in entries:
+    for each, entry in zip(entered, entries, strict=True):
         left[key := json.dumps(entry, sort_keys=True)] -= 1
-        entry["is_pending"] = left[key] < 0
+        entry["prevented"] = EXCLUDED_REASON if is_prevented(each, options) else ""
+        entry["is_pending"] = left[key] < 0 and not entry["prevented"]
     return entries
 
 

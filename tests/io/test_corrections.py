@@ -13,8 +13,10 @@ from mocapfix.fill.gap_estimates import FillRequest
 from mocapfix.fill.gap_filling import EMPTY_REASON, explain_requested_fills
 from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.io.changes_file import (
+    EXCLUDED_REASON,
     Review,
     build_fault_review,
+    is_prevented,
     locate_correction,
     read_changes_file,
     write_changes_file,
@@ -22,7 +24,7 @@ from mocapfix.io.changes_file import (
 from mocapfix.io.yaml_files import CorrectionModel
 from mocapfix.model.changes import KEYS_METHOD
 from mocapfix.model.faults import CorrectionKind, Fault, Fragment, RequestedFill
-from mocapfix.options import CleanOptions
+from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.io.test_changes_file import build_change, build_take
 
@@ -121,7 +123,7 @@ def sound(tmp_path_factory):
     return path, result
 
 
-def clean_with(sound, folder, *entries):
+def clean_with(sound, folder, *entries, **options):
     """Clean the take with corrections, given with frame indices; return the result."""
     path, first = sound[0], sound[1]
     number = first.input_take.first_frame
@@ -129,7 +131,7 @@ def clean_with(sound, folder, *entries):
     located = [locate_correction(entry, first.input_take, "file") for entry in numbered]
     target = folder / "walk.changes.yaml"
     write_changes_file(target, first.input_take, first.changes, Review(corrections=tuple(located)))
-    return pipeline.clean(path, prior="none", subject=first.subject, review_files=(target,))
+    return pipeline.clean(path, prior="none", subject=first.subject, review_files=(target,), **options)
 
 
 def test_marked_samples_are_estimated_and_nothing_else_changes(sound, tmp_path):
@@ -220,3 +222,28 @@ def test_what_a_reviewer_requests_is_done_whatever_kinds_are_repaired(sound, tmp
         sound[0], prior="none", subject=sound[1].subject, review_files=(tmp_path / "walk.changes.yaml",), repair_kinds=("spike",)
     )
     assert {"marked", "swap"} <= {change.kind for change in result.changes}
+
+
+@pytest.mark.parametrize("kind", ["swap", "wrong", "missing"])
+def test_a_correction_that_options_prevent_changes_no_sample_and_has_a_note(sound, tmp_path, kind):
+    kept, other = sound[1].take.labels[3], sound[1].take.labels[20]
+    markers = (other, kept) if kind == "swap" else (kept,)
+    entry = build_correction(kind, markers, 60, 79)
+    result = clean_with(sound, tmp_path, entry, build_correction("wrong", (other,), 90, 99), keep=(kept,))
+    before = result.input_take.markers
+    np.testing.assert_array_equal(result.take.markers[60:80, [3, 20]], before[60:80, [3, 20]])
+    first = result.input_take.first_frame
+    sentence = (
+        f"A correction is not made ({kind} {' and '.join(markers)}, frames {60 + first} to {79 + first}): {EXCLUDED_REASON}."
+    )
+    assert [note for note in result.subject_report["notes"] if "is not made" in note] == [sentence]
+    assert [(each["kind"], each["markers"]) for each in result.subject_report.get("corrections", ())] == [("wrong", [other])]
+
+
+def test_frames_prevent_a_change_of_labels_in_part_and_others_in_whole():
+    options = FillOptions(frames=(112, 130))
+    assert is_prevented(build_correction("swap", ("C7", "RBAC")), options)  # of frames 110 to 119
+    assert not is_prevented(build_correction(), options)
+    assert not is_prevented(build_correction("assign", ("C7", "*12"), 112, 130), options)
+    assert is_prevented(build_correction(first=100, last=111), options)
+    assert is_prevented(build_correction("swap", ("Jim:C7", "Jim:RBAC")), FillOptions(keep=("RBAC",)))

@@ -22,12 +22,14 @@ from mocapfix.animations.repair_methods import REPAIR_DESCRIPTIONS
 from mocapfix.cli.commands import clean_preview
 from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.io.c3d import write_c3d
-from mocapfix.io.capture import read_capture
-from mocapfix.io.changes_file import write_changes_file
+from mocapfix.io.capture import read_capture, read_take
+from mocapfix.io.changes_file import EXCLUDED_REASON, write_changes_file
 from mocapfix.io.gltf import write_gltf
 from mocapfix.io.yaml_files import CorrectionModel
+from mocapfix.labels.multi_subject import split_corrected_subjects
 from mocapfix.model.animation import Animation
 from mocapfix.model.take import Take
+from mocapfix.options import CleanOptions
 from mocapfix.review.take_files import find_cleaned_takes, load_take_view, trace_marker
 from mocapfix.synthetic import compose_take
 from tests.io.test_changes_file import build_change
@@ -64,7 +66,7 @@ def page(browser: Browser, running: RunningServer, problems: list[str]) -> Itera
     assert not problems
 
 
-def open_page(browser: Browser, running: RunningServer, problems: list[str]) -> Page:
+def open_page(browser: Browser, running: RunningServer, problems: list[str], place: str = "") -> Page:
     # Playwright evaluates expressions, which the page's policy forbids. test_server checks the policy.
     context = browser.new_context(viewport={"width": 1280, "height": 800}, bypass_csp=True)
     page = context.new_page()
@@ -72,7 +74,7 @@ def open_page(browser: Browser, running: RunningServer, problems: list[str]) -> 
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
     page.on("request", lambda sent: problems.append(sent.url) if "127.0.0.1" not in sent.url and ":" in sent.url[:6] else None)
-    page.goto(f"{running.address}/")
+    page.goto(f"{running.address}/{place}")
     wait_until_ready(page)
     return page
 
@@ -849,6 +851,27 @@ COUNT_FAULTY_ROWS = """() => { const { canvas } = review.app.curves, { width, he
     return rows.size; }"""
 
 
+def test_a_swap_of_a_protected_marker_is_shown_as_not_made(browser: Browser, folder: Path, problems: list[str]) -> None:
+    path = folder / "walk.report.json"
+    report = json.loads(path.read_bytes())
+    path.write_text(json.dumps(report | {"arguments": [*report["arguments"], "--keep", "LKNE"]}), encoding="utf-8")
+    with serve(folder) as running:
+        page = open_page(browser, running, problems)
+        page.wait_for_function("review.getState().isComplete")
+        before = page.evaluate("Array.from(review.app.samples.after).map(String)")
+        page.keyboard.press("s")
+        page.locator("#swap-one").select_option("RKNE")
+        page.locator("#swap-other").select_option("LKNE")
+        press_and_wait(page, "Enter")
+        expect(page.locator("#status")).to_contain_text(f"It is not made: {EXCLUDED_REASON}.")
+        row = page.locator("#corrections .row")
+        expect(row).to_contain_text("RKNE, LKNE: not made")
+        assert row.get_attribute("title") == f"Not made: {EXCLUDED_REASON}"
+        assert page.evaluate("Array.from(review.app.samples.after).map(String)") == before
+        page.context.close()
+    assert not problems
+
+
 def test_the_curve_of_a_short_fault_is_joined_to_what_was_measured(page: Page) -> None:
     page.wait_for_function("review.getState().isComplete")
     spike = min((each for each in get_take(page)["changes"] if each["kind"] == "spike"), key=lambda each: each["samples"])
@@ -898,6 +921,35 @@ def test_swaps_of_two_people_and_of_one_are_shown_in_the_order_of_the_next_clean
         page.evaluate(send)  # the same once more takes it back
         assert not (folder / "duo.Bob.approval.json").exists()
         page.context.close()
+    assert not problems
+
+
+def test_exchanges_of_three_people_in_the_same_frames_are_shown_in_the_order_in_which_they_are_made(
+    browser: Browser, tmp_path: Path, problems: list[str]
+) -> None:
+    names, path, folder = ("Cid", "Ann", "Bob"), tmp_path / "trio.c3d", tmp_path / "trio.mocapfix"
+    truths = [compose_take(seed=seed, seconds=2.0, rate=60.0) for seed in (3, 4, 5)]
+    markers = np.concatenate([each.marker_positions + [1.2 * n, 0.0, 0.3 * n] for n, each in enumerate(truths)], axis=1)
+    labels = tuple(f"{name}:{label}" for name, each in zip(names, truths, strict=True) for label in each.labels)
+    write_c3d(path, Take(markers, labels, 60.0))
+    pipeline.clean(path, prior="none", is_fast=True).write(folder)
+    files = tuple(folder / f"trio.{name}.changes.yaml" for name in names)
+    for file, pair, frames in ((files[2], ("Bob", "Cid"), (11, 60)), (files[1], ("Ann", "Bob"), (31, 90))):
+        swap = {"kind": "swap", "markers": [f"{name}:LKNE" for name in pair], "first": frames[0], "last": frames[1]}
+        values = yaml.safe_load(file.read_text(encoding="utf-8")) | {"corrections": [swap]}
+        file.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+    exchanged = split_corrected_subjects(read_take(path), CleanOptions().change(review_files=files))[2].take
+    expected = {name: exchanged.markers[:, exchanged.labels.index(f"{name}:LKNE")] for name in names}
+    with serve(folder) as running:
+        for name in names:
+            page = open_page(browser, running, problems, f"#trio.{name}")
+            page.wait_for_function("review.app.scene.people.length === 3 && review.getState().isComplete")
+            people = dict(page.evaluate("review.app.scene.people.map(({ take }) => [take.subject, take.labels])"))
+            shown = read_people(page, "after")
+            for each in names:
+                knee = shown[each][people[each].index(f"{each}:LKNE")]
+                np.testing.assert_allclose(knee[10:90], expected[each][10:90], atol=1e-6)
+            page.context.close()
     assert not problems
 
 
@@ -1174,6 +1226,36 @@ def test_pages_on_one_take_see_each_others_decisions(
     row = other.locator(f'#changes .row[data-id="{name}"]').first
     expect(row).to_have_attribute("data-decision", "reject")
     other.context.close()
+
+
+def test_pages_on_two_people_see_an_exchange_of_their_labels(
+    browser: Browser, cleaned_duo: Path, tmp_path: Path, problems: list[str]
+) -> None:
+    shutil.copytree(cleaned_duo, tmp_path / "session")
+    with serve(tmp_path / "session" / "duo.mocapfix") as running:
+        page = open_page(browser, running, problems)
+        page.wait_for_function("review.app.scene.people.length === 2 && review.getState().isComplete")
+        other_id = page.evaluate("review.app.scene.people[1].take.id")
+        running.session.approve(other_id, "Cid")
+        other = open_page(browser, running, problems, f"#{other_id}")
+        other.wait_for_function("review.app.scene.people.length === 2 && review.getState().isComplete")
+        assert get_take(other)["id"] == other_id
+        expect(other.locator("#take-state")).to_have_text("approved by Cid")
+        before = read_people(other, "after")
+        page.keyboard.press("Shift+S")
+        page.keyboard.press("ArrowDown")
+        press_and_wait(page, "Enter")
+        expect(other.locator("#take-state")).not_to_contain_text("approved")
+        for name, positions in read_people(page, "after").items():
+            assert not np.array_equal(positions, before[name], equal_nan=True)
+            np.testing.assert_array_equal(read_people(other, "after")[name], positions)
+        press_and_wait(page, "Control+z")
+        other.wait_for_function("!review.app.samples.others[0].take.corrections.length")
+        for name, positions in read_people(other, "after").items():
+            np.testing.assert_array_equal(positions, before[name])
+        page.context.close()
+        other.context.close()
+    assert not problems
 
 
 def test_edit_of_the_file_by_hand_is_shown_and_kept(page: Page, running: RunningServer, problems: list[str]) -> None:

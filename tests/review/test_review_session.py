@@ -19,7 +19,7 @@ from mocapfix.io.changes_file import Review, locate_correction, write_changes_fi
 from mocapfix.io.yaml_files import CorrectionModel
 from mocapfix.model import windows
 from mocapfix.model.faults import RequestedFill
-from mocapfix.options import CleanOptions, parse_arguments
+from mocapfix.options import CleanOptions, FillOptions, parse_arguments
 from mocapfix.review.review_session import (
     CleaningRun,
     ReviewSession,
@@ -116,10 +116,14 @@ def test_only_new_corrections_are_pending_where_an_older_report_does_not_tell(fo
 
 def test_corrections_are_pending_until_a_cleaning_has_made_them() -> None:
     one, other = (CorrectionModel(kind="wrong", markers=["C7"], first=first, last=20) for first in (10, 11))
-    made = json.loads(json.dumps([one.model_dump(mode="json")]))
-    assert [each["is_pending"] for each in describe_corrections([one, other, one], made)] == [False, True, True]
-    assert [each["is_pending"] for each in describe_corrections([one], [])] == [True]
-    assert [each["is_pending"] for each in describe_corrections([one, one, other], [one, one])] == [False, False, True]
+    made, options = json.loads(json.dumps([one.model_dump(mode="json")])), FillOptions()
+    assert [each["is_pending"] for each in describe_corrections([one, other, one], made, options)] == [False, True, True]
+    assert [each["is_pending"] for each in describe_corrections([one], [], options)] == [True]
+    assert [each["is_pending"] for each in describe_corrections([one, one, other], [one, one], options)] == [
+        False,
+        False,
+        True,
+    ]
 
 
 def test_estimates_in_a_long_take_are_those_of_the_windows_in_which_it_is_cleaned(folder: Path, monkeypatch) -> None:

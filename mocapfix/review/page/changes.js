@@ -107,7 +107,8 @@ export function renderCorrections(element, corrections, selected, { onSelect, on
     const remove = buildCell("×");
     remove.title = "Remove (Delete)";
     const method = each.method ? `: ${each.method}` : each.points?.length ? `: ${each.points.length}` : "";
-    row.append(buildCell(each.kind + method), buildCell(each.markers.join(", ")), buildCell(`${each.first}–${each.last}`, "number"), remove);
+    if (each.prevented) row.title = `Not made: ${each.prevented}`;
+    row.append(buildCell(each.kind + method), buildCell(each.markers.join(", ") + (each.prevented ? ": not made" : ""), each.prevented && "error"), buildCell(`${each.first}–${each.last}`, "number"), remove);
     row.addEventListener("click", () => onSelect(index));
     remove.addEventListener("click", (event) => { event.stopPropagation(); onRemove(index); });
     return row;

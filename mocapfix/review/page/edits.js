@@ -60,7 +60,8 @@ export class EditQueue {
       const review = await sendEdit(take.id, take.revision, edit.action);
       this.applyReview(take, review);
       this.lastDurationMs = performance.now() - start;
-      this.showStatus(`Saved. ${edit.text}`);
+      const prevented = edit.action.type === "add" && take.corrections.at(-1)?.prevented;
+      this.showStatus(`Saved. ${edit.text}${prevented ? ` It is not made: ${prevented}.` : ""}`, Boolean(prevented));
       return true;
     } catch (error) {
       if (error instanceof RequestError && error.status === 409 && error.body?.take) this.applyReview(take, error.body.take);

@@ -460,6 +460,7 @@ class App {
   receive(event) {
     if (event.type === "closing") this.cover("The review has ended. You can close this page.");
     if (event.type === "session") this.report(async () => { await this.fetchSession(); this.renderTakes(); });
+    if (event.type === "edited" && event.take !== this.take?.id) this.report(() => this.refreshOther(event));
     if (event.take !== this.take?.id) return;
     if (event.type === "edited" && !this.edits.waiting && event.revision !== this.take.revision) this.report(() => this.refreshReview());
     if (event.type === "run") this.showRun(event.run);
@@ -468,6 +469,15 @@ class App {
   async refreshReview() {
     const { take } = this, fresh = await api.fetchTake(take.id);
     if (fresh.revision !== take.revision) this.applyReview(take, fresh);
+  }
+
+  // Shows an edit of another person of the file, which may be an exchange with the one that is shown and end its approval.
+  async refreshOther(event) {
+    const { take, samples } = this, other = samples.others.find((each) => each.id === event.take);
+    if (!other || event.revision === other.take.revision) return;
+    const [fresh, { approval, state }] = await Promise.all([event.take, take.id].map(api.fetchTake));
+    Object.assign(other.take, fresh);
+    this.applyReview(take, { approval, state });
   }
 
   showRun(run) {

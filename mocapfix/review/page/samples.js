@@ -63,13 +63,13 @@ export class Samples {
 
   // Shows what follows from the decisions, in some frames or in all: rejected and kept samples are as they were measured.
   showDecisions([from, to] = [0, this.frameCount - 1]) {
-    const all = [this, ...this.others], changes = all.flatMap(({ take }) => take.changes);
+    const all = [this, ...this.others].sort((one, other) => (one.take.subject < other.take.subject ? -1 : 1)), changes = all.flatMap(({ take }) => take.changes);
     for (const each of all) each.showCleaned(from, to);
-    this.showSwaps(all.flatMap(({ take }) => take.corrections).filter(({ kind }) => kind === "swap"), from, to);
+    this.showSwaps(all.flatMap(({ take }) => take.corrections).filter(({ kind, prevented }) => kind === "swap" && !prevented), from, to);
     for (const each of all) each.showOwnDecisions(changes, from, to);
   }
 
-  // Exchanges labels as the next cleaning does, those of two people first, where a swap is pending: of what was measured; what it fills is not known yet.
+  // Exchanges labels as the next cleaning does, those of two people first, in the order of the subjects' names and of their files, where a swap is pending: of what was measured; what it fills is not known yet.
   showSwaps(swaps, from, to) {
     const locate = (label) => [this, ...this.others].map((samples) => ({ samples, index: samples.columns.get(label) })).find(({ index }) => index !== undefined);
     const located = swaps.map((each) => ({ ...each, places: each.markers.map(locate), first: Math.max(each.first - this.take.first_frame, from), last: Math.min(each.last - this.take.first_frame, to) }))
