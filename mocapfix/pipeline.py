@@ -20,7 +20,8 @@ from mocapfix.detect.contradictions import check_contradictions, select_consiste
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_hands, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import fill_gaps
-from mocapfix.hands.solve_hands import HandMotion, solve_hands
+from mocapfix.hands.calibrated_hand import CalibratedHand
+from mocapfix.hands.solve_hands import HandMotion, calibrate_hands, solve_hands
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Correction, Review, build_fault_review, reject_corrections
 from mocapfix.io.files import return_free_memory
@@ -224,10 +225,16 @@ def clean_subject(take: Take, review: Review, options: CleanOptions, timer: Stag
 
 
 def run_stages(
-    take: Take, choice: SubjectChoice, review: Review, options: CleanOptions, timer: StageTimer, kept: slice | None = None
+    take: Take,
+    choice: SubjectChoice,
+    review: Review,
+    options: CleanOptions,
+    timer: StageTimer,
+    kept: slice | None = None,
+    hands: Sequence[CalibratedHand] | None = None,
 ) -> CleanedSubject:
     """Run all stages on the take of one subject, or on a part of a long take, of which the frames `kept` are returned."""
-    fitted = fit_stages(take, choice, review, options, timer)
+    fitted = fit_stages(take, choice, review, options, timer, hands)
     with timer("fill"):
         filled = next(fitted.fill_gaps([review.corrections], options))
         solved = build_solved_body(fitted.detected, fitted.standing, fitted.hands) if fitted.standing else None
@@ -266,6 +273,7 @@ class SubjectWindow(NamedTuple):
     choice: SubjectChoice
     review: Review  # of the whole take
     options: CleanOptions
+    hands: tuple[CalibratedHand, ...] | None = None  # None: those that the window shows
 
     def extract(self) -> tuple[Take, SubjectChoice, Review]:
         """Return the window as a take of its own, and what is known of it."""
@@ -279,7 +287,7 @@ class SubjectWindow(NamedTuple):
     @limit_blas_threads
     def fit(self) -> FittedSubject:
         """Return it as it is fitted in `clean`."""
-        return fit_stages(*self.extract(), self.options, StageTimer())
+        return fit_stages(*self.extract(), self.options, StageTimer(), self.hands)
 
 
 @limit_blas_threads
@@ -296,8 +304,15 @@ def plan_subject(path: Path, options: CleanOptions, name: str) -> list[SubjectWi
     return [SubjectWindow(take, window, identify_subject(take, options.subject), review, options)]
 
 
-def fit_stages(take: Take, choice: SubjectChoice, review: Review, options: CleanOptions, timer: StageTimer) -> FittedSubject:
-    """Run the stages before the fill on the take of one subject, or on a part of a long take."""
+def fit_stages(
+    take: Take,
+    choice: SubjectChoice,
+    review: Review,
+    options: CleanOptions,
+    timer: StageTimer,
+    calibrated: Sequence[CalibratedHand] | None = None,
+) -> FittedSubject:
+    """Run the stages before the fill on the take of one subject, or on a part of a long take, whose hands are calibrated."""
     memory = load_memory(take, options)
     if choice.marker_set and choice.marker_set.point_sd:
         reject_corrections(review, take.name, "these are keypoints")
@@ -317,9 +332,9 @@ def fit_stages(take: Take, choice: SubjectChoice, review: Review, options: Clean
             standing = hold_standing_feet(body, take, options.contacts.feet, has_events=has_events)
             if conditioner:
                 standing = replace(standing, fit=apply_prior(standing.fit, CONTACT_JOINTS, conditioner, options))
-        if take.part is None and not options.initialise.is_fast:
+        if not options.initialise.is_fast:
             with timer("solve", "hands"):
-                hands = solve_hands(detected.take, detected.solver_mask, body.subject, standing.fit.motion)
+                hands = solve_hands(detected.take, detected.solver_mask, body.subject, standing.fit.motion, calibrated)
     return FittedSubject(choice, detected, standing, hands)
 
 
@@ -411,7 +426,10 @@ def plan_take(take: Take, review: Review, options: CleanOptions) -> tuple[Subjec
     choice = replace(choice, notes=notes, is_learned=False)
     subjects = [body and select_marker_places(detected, body, int((frames >= each.first).argmax())) for each in windows]
     known = [replace(choice, subject=each) for each in subjects]
-    return choice, body, [SubjectWindow(take, *pair, review, options) for pair in zip(windows, known, strict=True)]
+    hands = tuple[CalibratedHand, ...]()
+    if body and not options.initialise.is_fast:
+        hands = calibrate_hands(detected.take, detected.solver_mask, body.subject, body.motion)
+    return choice, body, [SubjectWindow(take, *pair, review, options, hands) for pair in zip(windows, known, strict=True)]
 
 
 @limit_blas_threads
@@ -419,7 +437,8 @@ def clean_window(planned: SubjectWindow, folder: Path) -> WindowResult:
     """Run all stages on a window. Arrays are written into a folder: the result has 0 frames."""
     gc.collect()  # what earlier windows left: commands do without the collector, which takes a tenth of the time of a short take
     (first, _, start, end), timer = planned.window, StageTimer()
-    choice, body, decided = run_stages(*planned.extract(), planned.options, timer, slice(start - first, end - first))
+    kept = slice(start - first, end - first)
+    choice, body, decided = run_stages(*planned.extract(), planned.options, timer, kept, planned.hands)
     relabelled = decided.detected.take
     relabelled = replace(relabelled, relabelled_points=relabelled.source_points)  # in all windows, if labels change in one
     decided = replace(decided, detected=replace(decided.detected, take=relabelled))

@@ -14,7 +14,9 @@ import pytest
 from mocapfix import pipeline
 from mocapfix.errors import OptionError, TakeError, WriteError
 from mocapfix.io import capture, changes_file
+from mocapfix.io.c3d import write_c3d
 from mocapfix.io.patches import patch_c3d
+from mocapfix.lab.hands import compose_hands
 from mocapfix.model import windows
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.option import FRAME_LIMIT
@@ -634,3 +636,25 @@ def test_the_files_of_a_take_in_windows_are_complete(cleaned, windowed):
     assert np.array_equal(copy.markers[kept], cleaned.result.input_take.markers[kept], equal_nan=True)
     motion = capture.read_capture(files["bvh"])
     assert motion.frame_count == copy.frame_count
+
+
+def test_hands_of_a_take_in_windows_are_those_of_one_piece_also_where_a_window_shows_none(tmp_path, monkeypatch):
+    take = windows.select_frames(compose_hands(0).take, slice(0, 700))
+    fingers = [m for m, label in enumerate(take.labels) if label[1:4] in ("THM", "IDX", "MID", "RNG", "PNK")]
+    take.markers[520:, fingers] = np.nan
+    write_c3d(tmp_path / "hands.c3d", take)
+    one = pipeline.clean(tmp_path / "hands.c3d")
+    for name, value in (("OVERLAP_S", 0.5), ("MIN_SHOWN_S", 0.5), ("CUT_SEARCH_S", 0.2)):
+        monkeypatch.setattr(windows, name, value)
+    monkeypatch.setattr(capture, "MAX_PIECE_FRAMES", 300)
+    monkeypatch.setattr(pipeline, "plan_windows", partial(windows.plan_windows, window_frames=150))
+    many = pipeline.clean(tmp_path / "hands.c3d")
+    assert any(note.startswith("Cleaned in") for note in many.report["notes"])
+    assert any("The fingers of the left hand" in note for note in many.report["notes"])
+    for before, after in zip(one.hands, many.hands, strict=True):
+        assert before.hand.model.side == after.hand.model.side
+        assert abs(before.hand.length_m - after.hand.length_m) < 0.01
+        difference = np.linalg.norm(before.tip_positions - after.tip_positions, axis=-1)
+        assert difference[:520].mean() < 0.005
+        assert np.isfinite(difference).all()
+        assert after.point_sd[620:, 15:].mean() > 2 * after.point_sd[:500, 15:].mean()

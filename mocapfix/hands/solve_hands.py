@@ -116,29 +116,63 @@ class HandMotion:
         return self.hand.model.compute_angles(self.hand.model.compute_rotation_vectors(self.joint_rotations))
 
 
-def solve_hands(take: Take, is_used: Bool[np.ndarray, "T M"], subject: Subject, motion: Motion) -> tuple[HandMotion, ...]:
+def calibrate_hands(take: Take, is_used: Bool[np.ndarray, "T M"], subject: Subject, motion: Motion) -> tuple[CalibratedHand, ...]:
+    """Return the hands of a take, which are those of its parts too; arguments as of `solve_hands`."""
+
+    def calibrate_one(part: _HandInTake) -> CalibratedHand:
+        return calibrate_hand(*part, take.rate, subject.skeleton.size_ratio)
+
+    return tuple(map_in_threads(calibrate_one, _list_hands(take, is_used, subject, motion)))
+
+
+def solve_hands(
+    take: Take,
+    is_used: Bool[np.ndarray, "T M"],
+    subject: Subject,
+    motion: Motion,
+    calibrated: Sequence[CalibratedHand] | None = None,
+) -> tuple[HandMotion, ...]:
     """Return the motion of each hand of a take that shows its fingers, and its forearm: without that no palm carries them.
 
     Args:
         is_used: The samples that the solver may use.
         subject: The person's body.
         motion: Of the body; it is not changed.
+        calibrated: The hands, if they are known from more of the take: these are solved, whether or not this part shows them.
     """
-    hands = find_finger_markers(subject.marker_set, take.labels)
+
+    def solve_one(part: _HandInTake) -> HandMotion:
+        known = [each for each in calibrated or () if each.model.side == part.markers.side]
+        hand = known[0] if known else calibrate_hand(*part, take.rate, subject.skeleton.size_ratio)
+        return solve_hand(hand, *part[1:], take.rate)
+
+    sides = None if calibrated is None else [each.model.side for each in calibrated]
+    return tuple(map_in_threads(solve_one, _list_hands(take, is_used, subject, motion, sides)))
+
+
+class _HandInTake(NamedTuple):
+    """The markers of a hand, their samples and those that are used, and its palm."""
+
+    markers: FingerMarkers
+    positions: Float[np.ndarray, "T K 3"]
+    is_used: Bool[np.ndarray, "T K"]
+    palm: PalmPath
+
+
+def _list_hands(
+    take: Take, is_used: Bool[np.ndarray, "T M"], subject: Subject, motion: Motion, sides: Sequence[str] | None = None
+) -> list[_HandInTake]:
+    """Return the hands of a take on these sides, by default those that show a finger marker and whose forearm is known."""
+    hands, listed = find_finger_markers(subject.marker_set, take.labels), list[_HandInTake]()
     if not hands:
-        return ()
-
-    def solve_one(finger_markers: FingerMarkers) -> HandMotion | None:
-        hand = subject.skeleton.find_joint(f"{finger_markers.side}Hand")
-        if not (subject.solved_joints[hand] and is_used[:, finger_markers.columns].any()):
-            return None
-        palm = trace_palm(subject, motion, finger_markers.side)
-        hand_markers = add_palm_markers(finger_markers, subject, take.labels)
-        used, markers = np.ascontiguousarray(is_used[:, hand_markers.columns]), take.markers[:, hand_markers.columns]
-        calibrated = calibrate_hand(hand_markers, markers, used, palm, take.rate, subject.skeleton.size_ratio)
-        return solve_hand(calibrated, markers, used, palm, take.rate)
-
-    return tuple(hand for hand in map_in_threads(solve_one, hands) if hand is not None)
+        return listed
+    for each in hands:
+        is_shown = subject.solved_joints[subject.skeleton.find_joint(f"{each.side}Hand")] and is_used[:, each.columns].any()
+        if each.side in sides if sides is not None else is_shown:
+            markers = add_palm_markers(each, subject, take.labels)
+            used = np.ascontiguousarray(is_used[:, markers.columns])
+            listed.append(_HandInTake(markers, take.markers[:, markers.columns], used, trace_palm(subject, motion, each.side)))
+    return listed
 
 
 def trace_palm(subject: Subject, motion: Motion, side: Side) -> PalmPath:

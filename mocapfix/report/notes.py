@@ -59,12 +59,19 @@ class SolvedBody:
     is_observed: Bool[np.ndarray, " J"]  # whether an inlier of any marker on a joint is visible
     carried_markers: tuple[int, ...]  # the markers of the take that the body carries
     remembered: tuple[RememberedGap, ...]  # limbs that are inferred from the memory of the person
-    hands: tuple[HandMotion, ...] = ()  # the hands whose fingers markers show; none of a long take, which is cleaned in windows
+    left_hand: HandMotion | None = None  # None if no marker shows its fingers
+    right_hand: HandMotion | None = None
+
+    @property
+    def hands(self) -> tuple[HandMotion, ...]:
+        """The hands whose fingers markers show."""
+        return tuple(hand for hand in (self.left_hand, self.right_hand) if hand)
 
 
 def build_solved_body(detected: Detected, standing: StandingBody, hands: tuple[HandMotion, ...] = ()) -> SolvedBody:
     """Return what outputs need of a body whose standing feet are held, and of its hands."""
     body, columns, epochs = standing.fit, standing.fit.marker_columns, detected.epochs
+    by_side = {hand.hand.model.side: hand for hand in hands}
     carried, seen = columns[columns >= 0], np.any(epochs.split_mask(detected.inlier_mask), axis=0)
     joints = body.extended_subject.joints[columns >= 0][seen[carried]]
     return SolvedBody(
@@ -77,7 +84,8 @@ def build_solved_body(detected: Detected, standing: StandingBody, hands: tuple[H
         is_observed=np.isin(np.arange(len(body.subject.skeleton.names)), joints),
         carried_markers=tuple(epochs.column_marker[carried].tolist()),
         remembered=body.remembered,
-        hands=hands,
+        left_hand=by_side.get("Left"),
+        right_hand=by_side.get("Right"),
     )
 
 
@@ -105,7 +113,7 @@ def describe_hands(detected: Detected, subject: Subject, hands: Sequence[HandMot
     solved = {hand.hand.model.side: f"{hand.hand.length_m * 1e3:.0f} mm long" for hand in hands}
     left = [each for each in find_finger_markers(subject.marker_set, detected.take.labels) if each.side not in solved]
     found, missed = ([f"{side.lower()} hand" for side in sides] for sides in (solved, [each.side for each in left]))
-    reason = "hands are not solved in takes that are cleaned in windows; cut the take to solve them"
+    reason = "no piece that the body of the windows is calibrated from shows them; cut the take to solve them"
     if is_preview:
         reason = "hands are not solved in a preview; clean the take without --fast"
     elif left and not any(detected.solver_mask[:, each.columns].any() for each in left):
