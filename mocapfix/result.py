@@ -26,7 +26,6 @@ from mocapfix.io.changes_file import NO_REVIEW, Review
 from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
 from mocapfix.io.resampling import is_frame_subset
 from mocapfix.labels.multi_subject import SubjectExchanges
-from mocapfix.model.animation import Animation
 from mocapfix.model.changes import Change, Decided, UnfilledRun, serialize_changes
 from mocapfix.model.detected import find_namesakes
 from mocapfix.model.faults import MISSING_KINDS, SHIFT_KINDS, Fault, Faults, Fragment, overlap_in_time
@@ -50,6 +49,7 @@ from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.notes import SolvedBody
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.sample_states import CleaningComparison
+from mocapfix.report.stick_figures import add_hand_points
 from mocapfix.report.terms import get_point_terms
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.solve.parallel import compute_beside, map_in_threads
@@ -198,11 +198,6 @@ class CleaningResult:
         return self.take
 
     @property
-    def cleaned_animation(self) -> Animation | None:
-        """The cleaned animation, None of a take with markers."""
-        return None
-
-    @property
     def subject_report(self) -> Report:
         """Report of a take of at most one subject."""
         if "people" in self.report:
@@ -262,9 +257,8 @@ class CleaningResult:
         final_report["times"] = timer.part_times
         result = replace(self, report=final_report)._drop_samples(unstorable)
         written = result.contacts, result.changes, result.review, result.subject_report, result.comparison
-        content = OutputContent(
-            self.input_take, result.output_take, exported_motion, *written, hands=self.hands, animation=self.cleaned_animation
-        )
+        animation = getattr(self, "animation", None)  # of an animation
+        content = OutputContent(self.input_take, result.output_take, exported_motion, *written, self.hands, animation)
         source_suffixes, default = get_source_suffixes(self.input_take.path), (BVH_FORMAT, *DEFAULT_FORMATS)
         formats = [each for each in list_output_formats(options) if self._can_write(each) and each.suffix not in source_suffixes]
         for each in (each for each in formats if each not in default):  # first, for the HTML report has their notes
@@ -295,6 +289,8 @@ class CleaningResult:
     def comparison(self) -> CleaningComparison:
         """The take before and after cleaning, as the HTML report and the recording show it."""
         skeleton, joints = self.subject.skeleton if self.subject else None, self.joint_position_world
+        if skeleton is not None and joints is not None:
+            skeleton, joints = add_hand_points(skeleton, joints, self.hands)
         takes, body = (self.input_take, self.relabelled_take, self.take), (skeleton, joints, self.residual_m)
         return CleaningComparison(*takes, self.faults, self.changes, *body, get_point_terms(self.take), self.contacts)
 

@@ -198,11 +198,6 @@ class AnimationResult(CleaningResult):
     joint_take: Take  # joint positions of the cleaned animation
 
     @property
-    def cleaned_animation(self) -> Animation:
-        """The cleaned animation."""
-        return self.animation
-
-    @property
     def output_take(self) -> Take:
         """The points that files of points hold: the joint positions of the cleaned animation."""
         return self.joint_take

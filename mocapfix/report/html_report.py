@@ -40,7 +40,7 @@ from mocapfix.report.sample_states import (
     classify_input_samples,
     find_estimated_samples,
 )
-from mocapfix.report.stick_figures import build_moving_figures
+from mocapfix.report.stick_figures import build_hand_figures, build_moving_figures
 from mocapfix.report.terms import FAULT_GROUPS, format_fault_counts, format_frame_range, format_number, get_fault_group
 from mocapfix.report.timeline import build_contact_part, build_fault_rows, build_residual_plot, build_time_ticks
 
@@ -86,6 +86,7 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         answers=[(question, describe(report, comparison)) for question, describe in answers] + notes,
         moment=moment,
         moving=moving,
+        hands=[Figure(*each) for each in build_hand_figures(comparison, comparison.worst_moment[0])],
         change_figures=[build_change_figure(comparison, *each) for each in select_worst_changes(comparison)],
         sheets=[(name, base64.b64encode(png).decode()) for name, png in sheets],
         frame_count=take.frame_count,

@@ -8,11 +8,16 @@ import numpy as np
 from jaxtyping import Float, Int
 from markupsafe import Markup
 
+from mocapfix.hands.finger_markers import SIDES
+from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAYS, TIP_JOINTS
+from mocapfix.hands.solve_hands import HandMotion
+from mocapfix.model.skeleton import Skeleton
 from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples
 
 VIEW_YAW_RAD = np.radians(25)
 VIEW_PITCH_RAD = np.radians(8)
-STICK_FIGURE_MARGIN_M = 0.12  # around the body
+STICK_FIGURE_MARGIN_M, HAND_MARGIN_M = 0.12, 0.02  # around the body and an enlarged hand
+HAND_POINTS = "Wrist of the hand"  # name of the first of a hand's points, after its side
 MAX_DRAWN_STRAY_DISTANCE_M = 0.4  # distance from the body up to which faulty markers enlarge the picture
 FLOOR_TILE_SIZE_M = 0.5
 FLOOR_TILES_PER_SIDE = 2  # on each side of the body
@@ -51,6 +56,46 @@ def build_moving_figures(
     one, other = (view.render_svg(view.draw_floor() + each, comparison.terms.points) for each in contents)
     numbers = [after.get_frame_number(t) for t in frames]
     return one, other, {"rate": after.rate / step, "numbers": numbers, "paths": paths, "index": frames.index(frame)}
+
+
+def add_hand_points(
+    skeleton: Skeleton, joints: Float[np.ndarray, "T J 3"], hands: Sequence[HandMotion]
+) -> tuple[Skeleton, Float[np.ndarray, "T N 3"]]:
+    """Return a body with the wrists, joints and tips of its hands as joints, and their positions in metres in the world."""
+    names, parents, places, bones = list(skeleton.names), skeleton.parents.tolist(), [joints], np.arange(len(HAND_JOINTS))
+    for model, hand in ((hand.hand.model, hand) for hand in hands):
+        first, carrier = len(names) + 1, skeleton.find_joint(f"{model.side}Hand")
+        inner = np.where(bones % JOINTS_PER_RAY, first + bones - 1, first - 1)
+        parents += [carrier, *inner.tolist(), *(first + bones[JOINTS_PER_RAY - 1 :: JOINTS_PER_RAY]).tolist()]
+        names += [f"{model.side}{HAND_POINTS}", *(f"{name} of the hand" for name in (*model.joint_names, *model.tip_names))]
+        places += [hand.palm_position[:, None], hand.point_positions]
+    more = np.zeros((len(names) - len(skeleton.names), 3))
+    offsets, ends = (np.concatenate([each, more + fill]) for each, fill in ((skeleton.offsets, 0.0), (skeleton.ends, np.nan)))
+    return Skeleton(tuple(names), np.array(parents), offsets, ends), np.concatenate(places, axis=1)
+
+
+def build_hand_figures(comparison: CleaningComparison, frame: int) -> list[tuple[Markup, str, str]]:
+    """Return enlarged pictures of the hands in a frame, from the back of each, with the bends at the joints of the fingers."""
+    found, skeleton, joints = list[tuple[Markup, str, str]](), comparison.skeleton, comparison.joint_position_world
+    if skeleton is None or joints is None or not len(joints):
+        return []
+    for side in (each for each in SIDES if f"{each}{HAND_POINTS}" in skeleton.names):
+        first = skeleton.find_joint(f"{side}{HAND_POINTS}")
+        wrist, *points = joints[frame, first : first + 1 + len(HAND_JOINTS) + len(TIP_JOINTS)]
+        rays = np.array([[wrist, *points[3 * k : 3 * k + 3], points[len(HAND_JOINTS) + k]] for k in range(len(RAYS))])
+        vectors = np.diff(rays, axis=1)
+        vectors /= np.linalg.norm(vectors, axis=2, keepdims=True)
+        bends = np.degrees(np.arccos(np.clip((vectors[:, 1:] * vectors[:, :-1]).sum(2), -1, 1)))
+        up, right = vectors[2, 0], (rays[1, 1] - rays[4, 1]) * (1 if side == "Left" else -1)
+        right = right - up * (right @ up)
+        right /= np.linalg.norm(right)
+        view = FigureView(np.stack([right, up, np.cross(right, up)]), wrist, (0.0, 0.0, 0.0, 0.0))
+        view = view.fit_points(rays.reshape(-1, 3), HAND_MARGIN_M)
+        lines = view.project_points(np.stack([rays[:, :-1], rays[:, 1:]], axis=2)).reshape(-1, 2, 3)
+        path = f'<path class="bones" style="stroke-width: .8" d="{_join_lines(lines, 2)}"/>'
+        text = "; ".join(f"{ray} {', '.join(f'{x:.0f}' for x in each)}" for ray, each in zip(RAYS, bends, strict=True))
+        found.append((view.render_svg(path, f"{side} hand"), f"{side} hand:", text))
+    return found
 
 
 def trace_markers(
@@ -94,9 +139,9 @@ class FigureView:
         """Project those points that are known."""
         return self.project_points(position_world[np.isfinite(position_world).all(axis=1)])
 
-    def fit_points(self, position_world: Float[np.ndarray, "N 3"]) -> "FigureView":
+    def fit_points(self, position_world: Float[np.ndarray, "N 3"], margin_m: float = STICK_FIGURE_MARGIN_M) -> "FigureView":
         """Return the view whose picture contains those points that are known."""
-        points, margin_cm = self.project_known(position_world)[:, :2], CM_PER_M * STICK_FIGURE_MARGIN_M
+        points, margin_cm = self.project_known(position_world)[:, :2], CM_PER_M * margin_m
         (left, top), (width, height) = points.min(axis=0) - margin_cm, np.ptp(points, axis=0) + 2 * margin_cm
         return replace(self, box_cm=(float(left), float(top), float(width), float(height)))
 
