@@ -271,7 +271,7 @@ export class CurveView {
     const at = Math.floor((from + (length * number) / 8 - line.from) / line.step);
     if (!(line.low[at] <= line.high[at])) return;
     context.fillStyle = textColour;
-    context.fillText(String(number), this.window.x(line.from + at * line.step), y(line.high[at]) - 3);
+    context.fillText(String(number), this.window.x(line.from + at * line.step), Math.max(y(line.high[at]) - 3, this.rows.at(-1).top + 9));  // within its row
   }
 
   // Draws the points of the row that was begun last.
