@@ -221,8 +221,10 @@ def solve_hand(
         rotations, weight = across.rotations, across.weight
         rotations[:, 0], weight[:, 0] = tracking.rotations[:, 0], tracking.weight[:, 0]
         tracking = tracking._replace(rotations=rotations, weight=weight)
-        terms = hand.build_terms(measured, is_used, tracking)
-        poses, _ = minimise_hand_poses(hand, terms, poses, ROBUST_SCALES_M[-1:], POSE_ITERATIONS)
+        lost = np.flatnonzero(is_unobserved.any(1))  # the other frames keep their poses
+        terms = hand.build_terms(measured[lost], is_used[lost], _select_tracking(tracking, lost))
+        found, _ = minimise_hand_poses(hand, terms, _select(poses, lost), ROBUST_SCALES_M[-1:], POSE_ITERATIONS)
+        poses[0][lost], poses[1][lost] = found
     known = np.flatnonzero(find_key_frames(frames, is_used, rate))
     uncertainty = _compute_uncertainty(
         hand, measured[known], is_used[known], _select_tracking(tracking, known), _select(poses, known)
