@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from mocapfix.characters import fingers
 from mocapfix.characters.character import (
     FINGERS,
     LIMB_ENDS,
@@ -23,13 +24,7 @@ from mocapfix.characters.character import (
     compute_character_poses,
     get_next_segment,
 )
-from mocapfix.characters.fingers import (
-    HandPoses,
-    compute_palm_roll,
-    compute_straight_finger,
-    fit_finger,
-    measure_finger,
-)
+from mocapfix.characters.fingers import HandPoses
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation, compute_shortest_rotations, scale_rotations
 
 LIMB_DIRECTIONS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
@@ -186,12 +181,12 @@ def build_body_frame(character: Character, hands: Collection[str] = ()) -> BodyF
     }
     for side in hands:
         axes, hand = turns[f"{side}_hand"] @ facing.T, segment_bones[f"{side}_hand"]
-        axes = compute_palm_roll(character, position @ axes.T, side) @ axes
+        axes = fingers.compute_palm_roll(character, position @ axes.T, side) @ axes
         standard[hand] = axes @ rotation[hand]
         for name, finger in list_fingers(character, side).items():
-            straight, _ = compute_straight_finger(side, finger)
+            straight, _ = fingers.compute_straight_finger(side, finger)
             for bone, vector in zip(
-                character.mapping.fingers[name], measure_finger(character, position, ends, name), strict=True
+                character.mapping.fingers[name], fingers.measure_finger(character, position, ends, name), strict=True
             ):
                 standard[bone] = compute_shortest_rotation(axes @ vector, straight) @ axes @ rotation[bone]
     return BodyFrame(character, segment_bones, standard, position, ends, rotation, facing)
@@ -214,15 +209,15 @@ def measure_hand_poses(character: Character, rotation: Float[np.ndarray, "T J 3 
     sides = [side for side in SIDES if f"{side}_hand" in mapping.bones and list_fingers(character, side)]
     frame, found = build_body_frame(character, sides), dict[str, HandPoses]()
     for side in sides:
-        hand, fingers, is_moving = frame.segment_bones[f"{side}_hand"], dict[str, np.ndarray](), False
+        hand, posed, is_moving = frame.segment_bones[f"{side}_hand"], dict[str, np.ndarray](), False
         for name, finger in list_fingers(character, side).items():
             bones = list(mapping.fingers[name])
             relative = rotation[:, [hand]].swapaxes(-1, -2) @ rotation[:, bones]
             is_moving |= bool((np.abs(relative - rest[hand].T @ rest[bones]) > MIN_FINGER_MOTION).any())
             standard = np.stack([frame.standard_rotations[bone].T for bone in bones])
-            fingers[finger] = frame.standard_rotations[hand] @ relative @ standard
+            posed[finger] = frame.standard_rotations[hand] @ relative @ standard
         if is_moving:
-            found[side] = HandPoses(rotation[:, hand] @ frame.standard_rotations[hand].T, fingers)
+            found[side] = HandPoses(rotation[:, hand] @ frame.standard_rotations[hand].T, posed)
     return found
 
 
@@ -233,7 +228,7 @@ def pose_fingers(
     posed: dict[int, np.ndarray] = {}
     for name, finger in list_fingers(frame.character, side).items():
         bones = frame.character.mapping.fingers[name]
-        if (poses := fit_finger(hand, side, finger, len(bones))) is not None:
+        if (poses := fingers.fit_finger(hand, side, finger, len(bones))) is not None:
             posed |= {bone: palm @ poses[:, k] @ frame.standard_rotations[bone] for k, bone in enumerate(bones)}
     return posed
 

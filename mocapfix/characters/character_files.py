@@ -280,10 +280,7 @@ def convert_hand_motion(hand: HandMotion, hand_rate: float, rate: float) -> Hand
 
 
 def measure_animation_hands(animation: Animation, rate: float) -> tuple[dict[str, HandPoses], list[str]]:
-    """Return the hands of a BVH whose fingers move, at another rate in frames per second, and sentences for the report.
-
-    The file is a character, whose rest pose shows where its fingers point.
-    """
+    """Return the hands of a BVH, by its rest pose as a character, at another rate in Hz, and sentences for the report."""
     if animation.path is None or animation.skeleton_path is not None or not has_named_fingers(animation.names, animation.parents):
         return {}, []
     try:
@@ -292,10 +289,9 @@ def measure_animation_hands(animation: Animation, rate: float) -> tuple[dict[str
             raise SceneError(f"{animation.name}: its rest pose is not upright.")
     except (ReadError, SceneError) as error:
         return {}, [f"The fingers of {animation.name} are not on characters: {error}"]
-    names, count = list(make_names_unique(animation.names)), animation.frame_count
+    names, none = list(make_names_unique(animation.names)), np.zeros(animation.frame_count, int)
     world = animation.compute_world_poses()[1][:, [names.index(name) for name in character.skeleton.names]]
-    none = np.zeros(count, int)
-    motion = Motion(np.zeros((count, 3)), world, none, none, np.zeros((count, 0)), np.zeros((count, world.shape[1])))
+    motion = Motion(np.zeros((len(none), 3)), world, none, none, np.zeros((len(none), 0)), np.zeros(world.shape[:2]))
     return measure_hand_poses(character, resample_motion(motion, animation.rate, rate).local_rotations), []
 
 
@@ -350,7 +346,8 @@ class CharacterFiles:
             raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, as the legs are."]
-        notes += [f"{target.name}: {describe_fingers(character, hands)}"] if hands else []
+        counts = [f"{sum(side in name for name in character.mapping.fingers)} of the {side} hand" for side in hands]
+        notes += [f"{target.name}: Fingers that follow those of the take: {', '.join(counts)}."] if counts else []
         if contacts and (levels := contacts.floor.level_heights_m):
             lowest_m = compute_character_poses(source, convert_motion(motion, rate))[0][..., 1].min() - levels[0]
             notes += [f"{target.name}: {each}" for each in describe_depth(character, delivered, scale * min(lowest_m, 0.0))]
@@ -388,13 +385,6 @@ def describe_depth(character: Character, motion: CharacterMotion, lowest_m: floa
         return []
     where = f"{character.skeleton.names[bones[lowest]]} is {depth_m * 1e3:.0f} mm under the floor in frame {frame + 1}"
     return [f"{where} of the file, the deepest: the figure does not reach the performer's pose there; correct it by hand."]
-
-
-def describe_fingers(character: Character, hands: Mapping[str, HandPoses]) -> str:
-    """Return a sentence on which bones of a character follow the fingers of hands."""
-    counts = {side: sum(name.startswith(side) for name in character.mapping.fingers) for side in hands}
-    parts = [f"{count} of the {side} hand" for side, count in counts.items()]
-    return f"Fingers that follow those of the take: {', '.join(parts)}{'' if any(counts.values()) else ' (no bones are known)'}."
 
 
 def write_skeleton(target: Path, body: BodyWithHands, rate: float) -> list[str]:

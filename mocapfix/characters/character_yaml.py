@@ -223,9 +223,7 @@ MAPPING_FILE_HEADER = """\
 #   the result are tilted to the side.
 # All other bones keep their rest pose: fingers, face, hair, clothes. They are listed at the end.
 """
-FINGERS_COMMENT = (
-    "# fingers: two or three bones that follow those of a take, from palm to tip; an empty list [] keeps the rest pose.\n"
-)
+FINGERS_COMMENT = "# fingers: two or three bones that follow those of a take, from palm to tip; [] keeps the rest pose.\n"
 
 
 class _MappingModel(StrictModel):

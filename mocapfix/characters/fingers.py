@@ -3,10 +3,9 @@
 Bones below the hand are found by their names, and without known names by the shape of the hand. Three or two
 bones of each turn, from its first joint beside the palm; a metacarpal keeps its rest pose.
 
-Rest poses of hands differ, so they are compared with the hand of priors/hand.yaml, whose fingers are straight. A bone's C is its
-axes in the palm's, turned by the shortest way from the bone's direction in the rest pose to that of the straight finger; R = S C
-for its rotation R, as in `body_frames`. S relative to the palm is kept,
-so that a bone points where the source's does, whatever its axes.
+Rest poses differ, so hands are compared with that of priors/hand.yaml, whose fingers are straight. A bone's C is its axes in the
+palm's, turned by the shortest way from where the bone points in the rest pose to where the straight finger does; R = S C for its
+rotation R, as in `body_frames`. S relative to the palm is kept, so that a bone points where the source's does.
 """
 
 import re
@@ -82,10 +81,8 @@ def _find_named_chains(names: Sequence[str], parents: Int[np.ndarray, " J"], bel
     for finger in FINGERS:
         own = [bone for bone, each in finger_of.items() if each == finger]
         paths = [[each for each in list_path(bone, -1, parents) if each in own] for bone in own]
-        if not paths:
-            continue
-        # of branches, the one whose names differ in their numbers only
-        chains[finger] = max(paths, key=lambda path: (len(path), -len({NUMBER.sub("", names[bone]) for bone in path})))
+        if paths:  # of branches, the one whose names differ in their numbers only
+            chains[finger] = max(paths, key=lambda path: (len(path), -len({NUMBER.sub("", names[bone]) for bone in path})))
     return chains
 
 

@@ -475,11 +475,7 @@ def write_gltf(
     local_rotations: Float[np.ndarray, "T J 3 3"],
     rate: float,
 ) -> None:
-    """Write a motion at `rate` frames per second. Raises WriteError if `target` is not writable.
-
-    Args:
-        positions: Joint to its positions in metres in its parent's axes, of the root in the world; the root and others that move.
-    """
+    """Write a motion; arguments as of `io.bvh.write_bvh_tree`. Raises WriteError if `target` is not writable."""
     buffer, nodes_of_joints = build_skinned_document(skeleton, skeleton.parents), dict(enumerate(range(len(skeleton.names))))
     add_animation(buffer, target.stem, local_rotations, dict(positions), nodes_of_joints, rate)
     with replace_atomically(Path(target)) as part:
