@@ -88,7 +88,7 @@ def find_animation_contacts(
             contacts = replace_contacts(contacts, {joint: each[start:] for joint, each in given.items()}, toes)
         slide, is_support = estimate_slide(position[:, 0], toes, contacts, is_given=given is not None)
         moving = replace(moving, root_position=moving.root_position - slide)
-        if given is None and slide.any():
+        if given is None and is_support.any():
             contacts = find_contacts(skeleton, moving, position - slide[:, None], animation.rate)
             standing = {joint: contacts.is_contact[:, column] for column, joint in enumerate(contacts.joints)}
             supports = {

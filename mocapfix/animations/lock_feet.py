@@ -29,23 +29,19 @@ from mocapfix.model.faults import Fault
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import FEET_LOCK, FillOptions
-from mocapfix.solve.kinematics import LegPath, compute_world_poses, measure_length
+from mocapfix.solve.kinematics import LegPath, compute_world_poses, measure_length, reach_ankle
 from mocapfix.solve.measured_segments import smooth_share
 from mocapfix.stats.rigid_alignment import compute_shortest_rotations
-from mocapfix.stats.sequences import find_runs, minimise_acceleration, smooth_path
+from mocapfix.stats.sequences import find_runs, minimise_acceleration
 
 ROOT_SD_M = 0.06  # standard deviation per axis of the root's displacement
 ROOT_TIME_S = 0.08  # time constant with which it begins and ends
 KNEE_SD_RAD = 0.15  # standard deviation of a knee's angle about what it was
-MIN_REACH_CHANGE_M = 0.014  # change of a leg's reach by the knee's angle, per radian, below which it counts as straight
 MIN_REACH_SD_M = 0.001  # the same of the distance from hip to ankle, where the leg is straight
 MAX_ROOT_DISPLACEMENT_M = 0.1
 ROOT_LIMIT_EXPONENT = 8  # exponent with which the displacement approaches its limit
 FIXED_SD_M = 1e-6  # standard deviation of a displacement that is not allowed
 ROOT_ITERATIONS = 6
-ANKLE_SD_M = 0.002  # standard deviation of an ankle about where its foot is held: it yields for a knee not to jump
-KNEE_CHANGE_SD_RAD = 0.05
-KNEE_TIME_S = 0.05  # size and time constant of the change of a knee's angle
 
 
 def find_root_displacement(
@@ -70,21 +66,6 @@ def find_root_displacement(
         moved = minimise_acceleration(information, pull, stiffness)
     ratio = np.linalg.norm(moved, axis=1, keepdims=True) / MAX_ROOT_DISPLACEMENT_M
     return moved / (1 + ratio**ROOT_LIMIT_EXPONENT) ** (1 / ROOT_LIMIT_EXPONENT)
-
-
-def reach_ankle(
-    leg: LegPath, hip: Float[np.ndarray, "T 3"], ankle: Float[np.ndarray, "T 3"], rate: float
-) -> Float[np.ndarray, " T"]:
-    """Return the distances from a hip at which a leg has its ankle near a place, in metres.
-
-    The knee's angle changes smoothly: where the leg is nearly straight, the ankle yields along it.
-    """
-    angle = leg.knee_angle
-    wanted = leg.find_knee_angle(measure_length(ankle - hip)) - angle
-    change = leg.measure_reach(np.minimum(angle, angle + wanted))[1]
-    variance = rate * (ANKLE_SD_M / np.maximum(change, MIN_REACH_CHANGE_M)) ** 2
-    power = np.full(len(angle), (KNEE_CHANGE_SD_RAD / KNEE_TIME_S**2) ** 2)
-    return leg.measure_reach(np.minimum(angle + smooth_path(wanted[:, None], variance, power, rate)[:, 0], np.pi))[0]
 
 
 LEG_BONES = ("UpLeg", "Leg", "Foot")

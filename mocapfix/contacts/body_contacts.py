@@ -35,7 +35,7 @@ from mocapfix.model.subject import Subject
 from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import FEET_LOCK, FEET_OFF
 from mocapfix.solve import kinematics
-from mocapfix.solve.kinematics import Poses
+from mocapfix.solve.kinematics import LegPath, Poses, measure_length, reach_ankle
 from mocapfix.solve.measured_segments import (
     MAX_RESIDUAL_GROWTH_M,
     SHARE_SMOOTHING_S,
@@ -91,7 +91,7 @@ def _compute_known_sd(sd: Float[np.ndarray, " T"], is_known: Bool[np.ndarray, " 
 
 LEG_SEGMENTS = (("LeftUpLeg", "LeftLeg"), ("RightUpLeg", "RightLeg"))  # thigh and shin, in the order of FOOT_JOINTS
 LEG_JOINTS = ("LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot")
-CONTACT_SD_M = 0.0003  # standard deviation of a joint about its place in a contact
+CONTACT_SD_M = 0.0015  # standard deviation of a joint about its place in a contact: it yields where its leg is nearly straight
 LEG_ROTATION_SD_RAD = 0.05  # standard deviation of a leg's joint about its rotation before
 ROOT_ROTATION_SD_RAD = 0.0005
 ROOT_SD_M = 0.01  # of the root: a straight leg bends far for a foot that comes nearer by a few millimetres
@@ -113,13 +113,20 @@ def compute_held_displacements(
     is_locked: bool,
     joint_sd: Float[np.ndarray, "T J"] | None = None,
 ) -> Float[np.ndarray, "T C 3"]:
-    """Return the displacement in metres of each joint of the feet that holds them, in every frame."""
+    """Return the displacement in metres of each joint of the feet that holds them, where legs reach, in every frame."""
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
     position, position_sd = joint_position[:, feet], None if joint_sd is None else joint_sd[:, feet]
     of_feet = contacts.select_feet()
     is_held = of_feet.is_contact | ~of_feet.is_known & (of_feet.probability > MIN_HELD_PROBABILITY)
     of_feet = replace(of_feet, is_contact=is_held)
-    return compute_foot_displacements(position, of_feet, is_locked=is_locked, position_sd=position_sd)
+    displacement = compute_foot_displacements(position, of_feet, is_locked=is_locked, position_sd=position_sd)
+    for ankle, chain in zip(range(0, len(feet), 2), LEGS, strict=True):
+        hip, knee, own = (joint_position[:, skeleton.names.index(joint)] for joint in chain[:3])
+        wanted = own + displacement[:, ankle]
+        reach = reach_ankle(LegPath(hip, knee, own, knee - hip), hip, wanted, contacts.rate)
+        yielded = hip + (reach / measure_length(wanted - hip))[:, None] * (wanted - hip) - wanted
+        displacement[:, ankle : ankle + 2] += yielded[:, None]
+    return displacement
 
 
 class LegMarkers(NamedTuple):
@@ -229,6 +236,7 @@ MAX_JUMP_RATIO = 1.5  # acceleration above which it does, relative to the larges
 JUMP_REACH_S = 0.1
 JUMP_SHARE = 0.5  # share of its displacement to which a foot is reduced where its knee jumps
 MIN_HOLDING_SHARE = 0.5  # share of its displacement below which a foot is not held
+SHOWN_REACH_S = 0.3  # time beside a contact that markers show for which a lock moves the visible markers of its foot too
 PARTIAL_ROUNDS = 3  # rounds in which a foot is held in part where it moved visible markers too far; then it is not held there
 MAX_YIELD_ROUNDS = 8
 
@@ -282,6 +290,9 @@ def hold_measured_feet(
     )
     leg_markers = build_leg_markers(subject, markers, body.marker_positions, contacts.rate)
     foot_of_joint = [n for n, joints in enumerate(FOOT_JOINTS.values()) for _ in joints]
+    shown = contacts.select_feet().is_contact & contacts.select_feet().is_known
+    reach = 2 * round(SHOWN_REACH_S * contacts.rate) + 1
+    is_shown = scipy.ndimage.maximum_filter1d(shown.reshape(len(shown), len(LEGS), 2).any(2), reach, axis=0)
     limit = np.ones((body.motion.frame_count, len(LEGS)))
     share, moved, filling_motion = np.zeros_like(limit), body, body.motion
     for yield_round in range(MAX_YIELD_ROUNDS):
@@ -298,8 +309,11 @@ def hold_measured_feet(
         allowed = np.ones(limit.shape)
         for joint, windows in growth.items():
             legs = [foot for foot, chain in enumerate(LEGS) if names[joint] in chain]
-            is_below_thigh = any(names[joint] in chain[1:] for chain in LEGS)
-            if not (is_locked and is_below_thigh) and (windows > MAX_RESIDUAL_GROWTH_M).any():
+            if is_locked and any(names[joint] in chain[1:] for chain in LEGS):
+                is_exempt = is_shown[:, legs[0]] | (names[joint] in SHINS.values())
+                exempt = np.lib.stride_tricks.sliding_window_view(is_exempt, len(limit) + 1 - len(windows)).any(1)
+                windows = np.where(exempt, 0.0, windows)
+            if (windows > MAX_RESIDUAL_GROWTH_M).any():
                 if not legs or yield_round >= PARTIAL_ROUNDS:  # the root carries the other leg along, too
                     legs = list(range(len(LEGS)))
                 allowed[:, legs] = np.minimum(allowed[:, legs], compute_allowed_share(windows, len(limit))[:, None])

@@ -64,6 +64,7 @@ STANDING_CHANGE_COST = 2.0  # cost of a change of state: several frames must con
 COST_LOGIT = 0.7  # logit for a difference of 1 in cost at 120 frames per second: fits the share that stands of training people
 MIN_STANDING_S = 0.1  # shortest time for which a joint stands
 MIN_SPEED_M_S = 1e-4
+ROLLING_SPEED_M_S = 0.2  # up to which a foot that bears weight rolls, also on to the floor or off it
 
 
 def compute_speed(position: Float[np.ndarray, "T 3"], rate: float) -> Float[np.ndarray, " T"]:
@@ -280,7 +281,7 @@ class Slide(NamedTuple):
     """How far the path of a body is off its steps."""
 
     path: Float[np.ndarray, "T 3"]  # m: by which the body has moved too far since the beginning; 0 if its feet do not slide
-    is_support: Bool[np.ndarray, "T 2"]  # when the left and the right foot stand while they slide and the other swings
+    is_support: Bool[np.ndarray, "T 2"]  # when the left and the right foot, without this, stand or roll while the other swings
 
 
 def estimate_slide(
@@ -315,13 +316,16 @@ def estimate_slide(
     speeds = [share * speed[span].mean() for share, (_, _, span) in zip(step_shares, steps, strict=True)]
     is_sliding = len(steps) >= MIN_SLIDE_STEPS and abs(np.median(speeds)) > MIN_SLIDE_M_S
     is_sliding = is_sliding and not FITTING_SHARES[0] <= np.median(step_shares) <= FITTING_SHARES[1]
-    if not steps or not (is_given or is_sliding):
+    if not steps:
         return no_slide
-    usual = scipy.ndimage.median_filter(step_shares, SLIDE_STEPS, mode="nearest")
+    usual, path = scipy.ndimage.median_filter(step_shares, SLIDE_STEPS, mode="nearest"), np.zeros(hips.shape)
+    if is_given or is_sliding:
+        share = np.interp(np.arange(len(hips)), [frame for frame, _, _ in steps], usual)
+        path = np.cumsum(share[:, None] * velocity, axis=0) / contacts.rate
+    rolls = np.stack([compute_speed(toe - path, contacts.rate) for toe in toes.swapaxes(0, 1)], axis=1) < ROLLING_SPEED_M_S
     for (_, foot, span), step_share, usual_share in zip(steps, step_shares, usual, strict=True):
-        no_slide.is_support[span, foot] = abs(step_share - usual_share) < MAX_SHARE_ERROR
-    share = np.interp(np.arange(len(hips)), [frame for frame, _, _ in steps], usual)
-    return Slide(np.cumsum(share[:, None] * velocity, axis=0) / contacts.rate, no_slide.is_support)
+        no_slide.is_support[span, foot] = rolls[span, foot] & (abs(step_share - usual_share) < MAX_SHARE_ERROR)
+    return Slide(path, np.stack([remove_short_runs(each, contacts.rate) for each in no_slide.is_support.T], axis=1))
 
 
 def replace_contacts(

@@ -17,7 +17,7 @@ import scipy
 from jaxtyping import Bool, Float
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
-from mocapfix.contacts.find_contacts import compute_speed
+from mocapfix.contacts.find_contacts import ROLLING_SPEED_M_S, compute_speed
 from mocapfix.stats.sequences import find_runs, smooth_path
 
 HORIZONTAL_AXES = [0, 2]
@@ -58,8 +58,7 @@ def restore_foot_length(
 
 
 SOFT_SMOOTHING_S = 0.3  # standard deviation of the kernel that smooths a standing foot
-LOCK_EXTENSION_SPEED_M_S = 0.2  # speed up to which a lock extends beyond the contact: the foot is rolling on or off
-MAX_LOCK_EXTENSION_S = 0.2
+MAX_LOCK_EXTENSION_S = 0.2  # time for which a lock extends beyond the contact, while the foot rolls on or off
 MAX_LOCK_DISPLACEMENT_M = 0.035  # distance from its mean place up to which a joint is held there; a standing foot rolls by 20 mm
 RETURN_TIME_S = 0.06  # time constant with which a displacement begins before a contact and ends after it
 CONTACT_WEIGHT = 1000.0  # weight of the displacement within contacts relative to that of no displacement between them
@@ -97,9 +96,11 @@ def compute_foot_displacements(
     """
     position_sd = np.zeros(position.shape[:2]) if position_sd is None else position_sd
     is_held = contacts.is_contact.copy()
-    if is_locked:
-        for c in range(is_held.shape[1]):
-            is_held[:, c] = extend_contacts(is_held[:, c], compute_speed(position[:, c], contacts.rate), contacts.rate)
+    for c, (path, is_known) in enumerate(zip(position.swapaxes(0, 1), contacts.is_known.T, strict=True)):
+        if is_locked:
+            extended, shown = (extend_contacts(each, path, contacts.rate) for each in (is_held[:, c], is_held[:, c] & is_known))
+            is_held[:, c] = np.where(is_known, shown, extended)  # what is seen is not held for what is inferred
+        is_held[:, c] &= ~find_hidden_steps(path, is_held[:, c], is_known, position_sd[:, c], contacts.rate)
     share, moved = np.zeros(is_held.shape), np.zeros(position.shape)
     for c in np.flatnonzero(is_held.any(0)):
         is_known = contacts.is_known[:, c]
@@ -118,13 +119,13 @@ def compute_foot_displacements(
     return target - position
 
 
-def extend_contacts(is_contact: Bool[np.ndarray, " T"], speed: Float[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
+def extend_contacts(is_contact: Bool[np.ndarray, " T"], path: Float[np.ndarray, "T 3"], rate: float) -> Bool[np.ndarray, " T"]:
     """Return the contacts with the slow frames beside them; contacts between which the joint stays slow become one."""
-    extended, reach = is_contact.copy(), round(MAX_LOCK_EXTENSION_S * rate)
+    extended, reach, speed = is_contact.copy(), round(MAX_LOCK_EXTENSION_S * rate), compute_speed(path, rate)
     for first, last in find_runs(is_contact):
         for step, edge, stop in ((-1, first, max(0, first - reach)), (1, last, min(len(speed) - 1, last + reach))):
             t = edge
-            while t != stop and speed[t + step] < LOCK_EXTENSION_SPEED_M_S:
+            while t != stop and speed[t + step] < ROLLING_SPEED_M_S:
                 t += step
                 extended[t] = True
     return extended
@@ -177,20 +178,66 @@ def compute_hidden_displacement(
 ) -> Float[np.ndarray, "T 3"]:
     """Return the displacement of a joint, in metres, for its contacts that markers show in no frame.
 
-    It stands at the mean of its path, in which a frame counts by its certainty; those beside the contact count the less, the
-    farther a foot may have moved. Where the path is certain it is not displaced.
+    It stands at the place of `find_hidden_place`. Where the path is certain it is not displaced.
     """
-    wanted, frames, sd = np.zeros(path.shape), np.arange(len(path)), np.clip(position_sd, MIN_SD_M, MAX_LEG_SD_M)
+    wanted, sd = np.zeros(path.shape), np.clip(position_sd, MIN_SD_M, MAX_LEG_SD_M)
     is_held = is_contact & (position_sd <= MAX_LEG_SD_M)
     for first, last in find_runs(is_contact):
         if not is_known[first : last + 1].any():
-            beside_s = np.maximum(np.maximum(first - frames, frames - last), 0) / rate
-            variance = sd**2 + (STEP_ACCELERATION_M_S2 / 2 * beside_s**2) ** 2
             held = first + np.flatnonzero(is_held[first : last + 1])
-            wanted[held] = np.average(path, axis=0, weights=1 / variance) - path[held]
+            wanted[held] = find_hidden_place(path, first, last, sd, rate) - path[held]
     if not wanted.any():
         return wanted
     return smooth_displacement(wanted, is_held, np.zeros(len(path), bool), rate, lock, (sd / HIDDEN_RETURN_SD_M) ** 4)
+
+
+def find_hidden_place(
+    path: Float[np.ndarray, "T 3"], first: int, last: int, sd: Float[np.ndarray, " T"], rate: float
+) -> Float[np.ndarray, "3"]:
+    """Return where a joint stands in a contact that markers show in no frame, in metres.
+
+    It is the mean of its path, in which a frame counts by its certainty; those beside the contact count the less, the farther a
+    foot may have moved.
+    """
+    frames = np.arange(len(path))
+    beside_s = np.maximum(np.maximum(first - frames, frames - last), 0) / rate
+    variance = sd**2 + (STEP_ACCELERATION_M_S2 / 2 * beside_s**2) ** 2
+    return np.average(path, axis=0, weights=1 / variance)
+
+
+MAX_HIDDEN_DEVIATION_M = 0.4  # of a hidden joint from where it stands, above which it steps; with 0.3 training people drift more
+STEP_SPEED_SHARE = 0.5  # share of the largest speed of a step down to which it lasts
+
+
+def find_hidden_steps(
+    path: Float[np.ndarray, "T 3"],
+    is_held: Bool[np.ndarray, " T"],
+    is_known: Bool[np.ndarray, " T"],
+    position_sd: Float[np.ndarray, " T"],
+    rate: float,
+) -> Bool[np.ndarray, " T"]:
+    """Return the hidden frames of contacts in which a joint steps from one place to another.
+
+    A contact in which its path is more than MAX_HIDDEN_DEVIATION_M from where it stands is divided where the path is fastest.
+    """
+    is_step, speed, sd = np.zeros(len(path), bool), compute_speed(path, rate), np.clip(position_sd, MIN_SD_M, MAX_LEG_SD_M)
+    runs = find_runs(is_held)
+    while runs:
+        first, last = runs.pop()
+        frames, is_hidden = np.arange(first, last + 1), ~is_known[first : last + 1]
+        if not is_hidden.any():
+            continue
+        if is_hidden.all():
+            place = find_hidden_place(path, first, last, sd, rate)
+        else:
+            place = np.stack([np.interp(frames, frames[~is_hidden], axis) for axis in path[frames[~is_hidden]].T], axis=1)
+        if (np.linalg.norm(path[frames] - place, axis=1)[is_hidden] > MAX_HIDDEN_DEVIATION_M).any():
+            step = int(np.where(is_hidden, speed[frames], -1.0).argmax())
+            fast = find_runs(is_hidden & (speed[frames] >= STEP_SPEED_SHARE * speed[first + step]))
+            begin, end = next((first + run[0], first + run[1]) for run in fast if run[0] <= step <= run[1])
+            is_step[begin : end + 1] = True
+            runs += [run for run in ((first, begin - 1), (end + 1, last)) if run[0] <= run[1]]
+    return is_step
 
 
 def limit_length(vectors: Float[np.ndarray, "T 3"], max_length: float) -> Float[np.ndarray, "T 3"]:

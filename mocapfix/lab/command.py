@@ -13,6 +13,7 @@ from rich.markup import escape
 from mocapfix.cli.commands import FlagOption, JsonOption, TakesArgument, describe_option
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_line, print_usage_error, show_progress
 from mocapfix.lab.results import print_results
+from mocapfix.lab.train_command import FolderLists
 from mocapfix.options import CHARACTER_PRESETS
 
 MotionFolderOption = Annotated[
@@ -215,7 +216,7 @@ def run_bench_animations(
 
 def run_bench_stress(
     data: Annotated[
-        tuple[Path, ...], tyro.conf.arg(metavar="FOLDER", help="folders of motion with test.npz, whose fastest tenth is used")
+        FolderLists, tyro.conf.arg(metavar="FOLDER [FOLDER ...]", help="motion with test.npz, whose fastest tenth is used")
     ] = (),
     quick: Annotated[FlagOption, tyro.conf.arg(help=f"only {', '.join(QUICK_MOTIONS)} at {QUICK_RATES_HZ[0]:g} Hz")] = False,
     as_json: JsonOption = False,
@@ -229,7 +230,7 @@ def run_bench_stress(
 
     motions, rates_hz = (QUICK_MOTIONS, QUICK_RATES_HZ) if quick else (tuple(EXTREME_MOTIONS), STRESS_RATES_HZ)
     with show_progress("stress") as progress:
-        results: Mapping[str, Any] = measure_stress(data, motions, rates_hz, progress)
+        results: Mapping[str, Any] = measure_stress(sum(data, ()), motions, rates_hz, progress)
     print_results(results, as_json)
     if not as_json:
         print_line(
@@ -241,7 +242,8 @@ def run_bench_stress(
 
 def run_bench_contacts(
     data: Annotated[
-        tuple[Path, ...], tyro.conf.arg(metavar="FOLDER", help="folders of motion with test.npz, measured by kind of motion")
+        FolderLists,
+        tyro.conf.arg(metavar="FOLDER [FOLDER ...]", help="folders of motion with test.npz, measured by kind of motion"),
     ] = (),
     plates: Annotated[
         Path | None, tyro.conf.arg(metavar="FOLDER", help="C3D captures with force plates, compared with events from markers")
@@ -257,7 +259,7 @@ def run_bench_contacts(
     if takes < 0 or (takes == 0 and plates is None):
         return print_usage_error(f"bench contacts: --takes must be at least 1 without --plates, not {takes}.")
     with show_progress("contacts") as progress:
-        errors, agreements = contacts.measure_contacts(data, takes, progress) if takes else ([], [])
+        errors, agreements = contacts.measure_contacts(sum(data, ()), takes, progress) if takes else ([], [])
         events, frames = contacts.measure_plate_events(plates, progress) if plates is not None else ([], [])
     if as_json:
         rows = {"held_feet": errors, "contacts": agreements, "plate_events": events, "plate_frames": frames}

@@ -17,11 +17,12 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import scipy.signal
 from jaxtyping import Bool, Float
 
 from mocapfix import pipeline
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
-from mocapfix.contacts.find_contacts import compute_speed, remove_short_runs
+from mocapfix.contacts.find_contacts import compute_speed, find_foot_contacts, remove_short_runs
 from mocapfix.contacts.foot_displacements import HORIZONTAL_AXES
 from mocapfix.contacts.gait_events import FootPoints, build_foot_points
 from mocapfix.contacts.plate_contacts import PlateContact, find_plate_contacts
@@ -237,7 +238,8 @@ def measure_contacts(
             damaged[GAPS] = lose_markers(sound, np.random.default_rng(number))
         of_take = measure_take(name, damaged, (FEET_OFF, FEET_LOCK) if motion_folders else HELD_MODES)
         errors += of_take[0]
-        agreements += [replace(each, kind=kind) for each in of_take[1]]
+        mats = [] if motion_folders else measure_soft_mats(name, sound)
+        agreements += [replace(each, kind=kind) for each in (*of_take[1], *mats)]
     return errors, agreements
 
 
@@ -251,6 +253,24 @@ def measure_take(
         agreements.append(compare_contacts(name, damage, truth, results[FEET_OFF]))
         errors += [compute_held_errors(name, damage, truth, results, mode) for mode in modes]
     return errors, agreements
+
+
+MAT_DEPTHS_M, MAT_DELAY_S = (0.01, 0.03, 0.05), 0.1  # by which a soft mat yields to the whole weight, and how late
+
+
+def measure_soft_mats(name: str, truth: SyntheticTake) -> list[ContactAgreement]:
+    """Return the agreement of the contacts that are found in the true paths of feet, on mats that yield to their load."""
+    is_true = find_all_true_contacts(truth)
+    path = truth.joint_positions[:, [truth.subject.skeleton.find_joint(joint) for joint in CONTACT_JOINTS]]
+    is_loaded, share = is_true.reshape(len(path), len(FOOT_JOINTS), -1).any(2), 1 / (MAT_DELAY_S * truth.rate)
+    load = is_loaded / np.maximum(is_loaded.sum(1, keepdims=True), 1)
+    sunk = np.repeat(scipy.signal.lfilter([share], [1, share - 1], load, axis=0), 2, axis=1)[..., None] * [0, 1, 0]
+    rows: list[ContactAgreement] = []
+    for depth_m in MAT_DEPTHS_M:
+        is_found = find_foot_contacts(path - depth_m * sunk, np.zeros(is_true.shape), truth.rate).is_contact
+        counts = int(is_true.sum()), int(is_found.sum()), int((is_true & is_found).sum())
+        rows.append(ContactAgreement(name, f"mat that yields by {MM * depth_m:.0f} mm", *counts))
+    return rows
 
 
 def compare_contacts(name: str, damage: str, truth: SyntheticTake, result: "CleaningResult") -> ContactAgreement:

@@ -9,7 +9,7 @@ from rich.markup import escape
 
 from mocapfix.cli.commands import OverwriteOption
 from mocapfix.cli.console import EXIT_DONE, print_line, stderr_console
-from mocapfix.errors import WriteError
+from mocapfix.errors import ReadError, WriteError
 from mocapfix.io.files import check_outputs_absent
 from mocapfix.io.yaml_files import read_yaml_model
 
@@ -17,8 +17,9 @@ Settings = TypeVar("Settings")
 Scores = TypeVar("Scores")
 
 ConfigOption = Annotated[Path, tyro.conf.arg(metavar="NAME.yaml", help="training settings")]
+FolderLists = tyro.conf.UseAppendAction[tuple[tuple[Path, ...], ...]]  # one for each time that the flag is given
 MotionFoldersOption = Annotated[
-    tuple[Path, ...],
+    FolderLists,
     tyro.conf.arg(metavar="FOLDER [FOLDER ...]", help="motion: BVH, ASF/AMC, AMASS npz or shards, also in subfolders"),
 ]
 WeightsOption = Annotated[
@@ -93,7 +94,7 @@ def run_train_contacts(
 def _train(
     train: Callable[[Settings, tuple[Path, ...], Path, Callable[[str], None]], Scores],
     settings: Settings,
-    data: tuple[Path, ...],
+    data: tuple[tuple[Path, ...], ...],
     target: Path,
     overwrite: bool,
 ) -> Scores:
@@ -102,9 +103,11 @@ def _train(
 
     if target.suffix != ".safetensors":
         raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
+    if not (folders := sum(data, ())):
+        raise ReadError("No motion to train on; give its folders with --data.")
     check_outputs_absent([target, target.with_suffix(".md")], overwrite)
     with stderr_console.status(escape(target.name)) as status, use_one_torch_thread():
-        return train(settings, data, target, lambda text: status.update(f"{escape(target.name)}: {escape(text)}"))
+        return train(settings, folders, target, lambda text: status.update(f"{escape(target.name)}: {escape(text)}"))
 
 
 def _print_scores(target: Path, scores: str) -> int:

@@ -134,7 +134,7 @@ def _describe_inferred_contacts(contacts: BodyContacts, terms: PointTerms) -> li
     if not count:
         return []
     what = "1 contact of a heel or a ball of a foot is" if count == 1 else f"{count} contacts of heels and balls of feet are"
-    return [f"{what} partly inferred: for {seconds:.1f} s in all, too few {terms.points} show the foot."]
+    return [f"{what} partly inferred: for {max(seconds, 0.01):.2f} s in all, too few {terms.points} show the foot."]
 
 
 def _describe_event_disagreements(contacts: BodyContacts) -> list[str]:

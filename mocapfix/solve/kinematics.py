@@ -12,7 +12,7 @@ from mocapfix.model.skeleton import Skeleton, find_common_joint
 from mocapfix.model.subject import Subject
 from mocapfix.solve.parallel import run_in_parallel, run_over_frames
 from mocapfix.stats.rigid_alignment import compute_lengths, compute_shortest_rotations, split_along_line
-from mocapfix.stats.sequences import interpolate_rows
+from mocapfix.stats.sequences import interpolate_rows, smooth_path
 
 Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]  # root positions in metres and local rotations
 
@@ -156,3 +156,24 @@ class LegPath(NamedTuple):
 def measure_length(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, " T"]:
     """Return the length of each vector, at least a nanometre."""
     return np.maximum(np.linalg.norm(vectors, axis=1), MIN_LENGTH_M)
+
+
+ANKLE_SD_M = 0.002  # standard deviation of an ankle about where its foot is held: it yields for a knee not to jump
+KNEE_CHANGE_SD_RAD = 0.05
+KNEE_TIME_S = 0.05  # size and time constant of the change of a knee's angle
+MIN_REACH_CHANGE_M = 0.014  # change of a leg's reach by the knee's angle, per radian, below which it counts as straight
+
+
+def reach_ankle(
+    leg: LegPath, hip: Float[np.ndarray, "T 3"], ankle: Float[np.ndarray, "T 3"], rate: float
+) -> Float[np.ndarray, " T"]:
+    """Return the distances from a hip at which a leg has its ankle near a place, in metres.
+
+    The knee's angle changes smoothly: where the leg is nearly straight, the ankle yields along it.
+    """
+    angle = leg.knee_angle
+    wanted = leg.find_knee_angle(measure_length(ankle - hip)) - angle
+    change = leg.measure_reach(np.minimum(angle, angle + wanted))[1]
+    variance = rate * (ANKLE_SD_M / np.maximum(change, MIN_REACH_CHANGE_M)) ** 2
+    power = np.full(len(angle), (KNEE_CHANGE_SD_RAD / KNEE_TIME_S**2) ** 2)
+    return leg.measure_reach(np.minimum(angle + smooth_path(wanted[:, None], variance, power, rate)[:, 0], np.pi))[0]

@@ -10,7 +10,7 @@ import yaml
 
 from mocapfix import pipeline
 from mocapfix.animations.clean import AnimationResult
-from mocapfix.animations.lock_feet import MAX_ROOT_DISPLACEMENT_M, find_root_displacement, reach_ankle
+from mocapfix.animations.lock_feet import MAX_ROOT_DISPLACEMENT_M, find_root_displacement
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.io import bvh
 from mocapfix.io.bvh import write_bvh
@@ -18,7 +18,7 @@ from mocapfix.io.contact_files import read_contacts, write_contacts
 from mocapfix.model.animation import Animation
 from mocapfix.model.motion import Motion
 from mocapfix.options import CleanOptions
-from mocapfix.solve.kinematics import LegPath, compute_world_poses
+from mocapfix.solve.kinematics import LegPath, compute_world_poses, reach_ankle
 from mocapfix.synthetic import compose_take
 
 LEGS = {f"{side}{bone}" for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Foot")}

@@ -14,6 +14,7 @@ from mocapfix.contacts.find_contacts import (
     find_foot_contacts,
     find_frames_near_floor,
     find_other_contacts,
+    find_shown_standing,
     replace_contacts,
 )
 from mocapfix.lab.sound_takes import build_known_motion
@@ -225,6 +226,24 @@ def test_very_short_takes(frames):
     assert not contacts.is_contact.any()
 
 
+@pytest.mark.parametrize("depth_m", [0.01, 0.03, 0.05])
+@pytest.mark.parametrize("delay_s", [0.05, 0.2])
+def test_the_height_of_a_foot_in_a_soft_mat_is_no_evidence_against_its_contact(depth_m, delay_s):
+    stances, rate = walk(), 120.0
+    is_standing = np.stack([find_true_stances(foot, SECONDS, rate) for foot in stances], axis=1)
+    load, sunk = is_standing / is_standing.sum(1, keepdims=True), np.zeros(is_standing.shape)
+    for t in range(1, len(sunk)):  # the mat yields to the load and recovers with a delay
+        sunk[t] = sunk[t - 1] + (load[t] - sunk[t - 1]) / (delay_s * rate)
+    feet, sunk = make_feet(stances, SECONDS, rate), np.repeat(sunk, 2, axis=1)
+    feet[..., 1] -= depth_m * sunk
+    contacts, is_standing = find(feet, rate), np.repeat(is_standing, 2, axis=1)
+    np.testing.assert_array_equal(contacts.is_contact, find_shown_standing(feet, np.zeros(feet.shape[:2]), rate)[0])
+    is_still = is_standing & (np.abs(np.gradient(depth_m * sunk, 1 / rate, axis=0)) < 0.05)
+    assert contacts.is_contact[is_still].mean() > 0.85
+    assert is_standing[contacts.is_contact].mean() > 0.97
+    assert len(contacts.floor.level_heights_m) == 1
+
+
 def build_stretched_walk(stretch: float, rate: float = 120.0, step_height_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Return the hips and the feet of a walk whose path is longer than its steps by a share."""
     feet = make_feet(walk(step_height_m, stance_s=0.6), SECONDS, rate)
@@ -267,6 +286,20 @@ def test_feet_that_stand_do_not_slide(step_height_m):
     still = np.tile(feet[:1], (len(feet), 1, 1))
     assert not estimate_slide(np.tile(hips[:1], (len(feet), 1)), still[:, [1, 3]], find(still, 120.0), is_given=False).path.any()
     assert not estimate_slide(hips[:1], feet[:1, [1, 3]], find(feet[:1], 120.0), is_given=False).path.any()
+
+
+def test_a_foot_that_bears_weight_and_shakes_is_a_support_also_where_the_path_fits():
+    hips, feet = build_stretched_walk(0.0)
+    true = find(feet, 120.0).is_contact[:, [1, 3]]
+    alone = true & ~true[:, ::-1]  # the other foot swings
+    noisy = feet + 0.003 * np.sin(2 * np.pi * 8 * np.arange(len(feet)) / 120.0)[:, None, None] * [1.0, 0.0, 0.0]
+    found = find(noisy, 120.0)
+    slide = estimate_slide(hips, noisy[:, [1, 3]], found, is_given=False)
+    assert not slide.path.any()
+    assert found.is_contact[:, [1, 3]][alone].mean() < 0.5 < 0.7 < slide.is_support[alone].mean()
+    assert slide.is_support[~true].mean() < 0.05
+    fast = feet + 0.01 * np.sin(2 * np.pi * 8 * np.arange(len(feet)) / 120.0)[:, None, None] * [1.0, 0.0, 0.0]
+    assert not estimate_slide(hips, fast[:, [1, 3]], find(fast, 120.0), is_given=False).is_support.any()
 
 
 def test_in_given_contacts_any_slide_counts():

@@ -103,6 +103,30 @@ def test_a_foot_hidden_throughout_a_contact_stands_where_its_path_is_most_certai
     np.testing.assert_allclose(held[:, 2:], feet[:, 2:], atol=1e-12)
 
 
+def test_a_lock_moves_slow_visible_frames_for_a_contact_that_markers_show_alone():
+    feet = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (240, 1, 1))
+    feet[:, :2, 0] += 0.1 * np.arange(240)[:, None] / RATE  # slow, and no contact
+    is_contact, is_known = np.zeros((240, 4), bool), np.ones((240, 4), bool)
+    is_contact[100:160, :2] = True
+    moved = compute_foot_displacements(feet, build_contacts(is_contact, is_known), is_locked=True)
+    assert np.linalg.norm(moved[80:100, 0], axis=1).min() > 0.025
+    is_known[95:165, :2] = False
+    moved = compute_foot_displacements(feet, build_contacts(is_contact, is_known), is_locked=True, position_sd=is_contact * 0.03)
+    assert np.linalg.norm(moved[:90, 0], axis=1).max() < 0.005
+    assert np.linalg.norm(np.ptp(feet[102:158, 0] + moved[102:158, 0], axis=0)) < 0.003
+
+
+@pytest.mark.parametrize("is_locked", [False, True])
+def test_a_hidden_contact_that_runs_across_a_step_has_two_places(is_locked):
+    feet = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (300, 1, 1))
+    is_contact, is_known, sd = np.zeros((300, 4), bool), np.ones((300, 4), bool), np.full((300, 4), 0.03)
+    is_known[70:230, :2], is_contact[80:220, :2] = False, True
+    feet[:, :2, 2] += np.interp(np.arange(300), [130, 170], [0.0, 0.9])[:, None]
+    held = feet + compute_foot_displacements(feet, build_contacts(is_contact, is_known), is_locked=is_locked, position_sd=sd)
+    np.testing.assert_allclose(held[85:125, :2], feet[85:125, :2], atol=0.03)
+    np.testing.assert_allclose(held[175:215, :2], feet[175:215, :2], atol=0.03)
+
+
 @pytest.mark.parametrize("is_locked", [False, True])
 def test_a_foot_that_is_lost_with_its_body_is_not_held(is_locked):
     still = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (600, 1, 1))
@@ -139,13 +163,18 @@ def test_contacts_at_different_places_that_almost_touch_do_not_pop():
     np.testing.assert_allclose(smooth[[60, 200], 0], [0.03, -0.01], atol=0.0005)
 
 
+def build_path(speed_m_s: np.ndarray) -> np.ndarray:
+    """Return a straight path with the speed of each frame."""
+    return np.outer(np.cumsum(speed_m_s) / RATE, [1.0, 0.0, 0.0])
+
+
 def test_contacts_extend_over_slow_frames_and_join():
     is_contact = np.zeros(100, bool)
     is_contact[30:40] = is_contact[45:60] = True
     speed = np.full(100, 0.1)
-    speed[:25] = speed[70:] = 1.0
-    assert np.flatnonzero(extend_contacts(is_contact, speed, RATE)).tolist() == list(range(25, 70))
-    assert (extend_contacts(is_contact, np.full(100, 1.0), RATE) == is_contact).all()
+    speed[:25] = speed[71:] = 1.0
+    assert np.flatnonzero(extend_contacts(is_contact, build_path(speed), RATE)).tolist() == list(range(25, 70))
+    assert (extend_contacts(is_contact, build_path(np.ones(100)), RATE) == is_contact).all()
 
 
 def test_a_joint_is_not_pulled_far():

@@ -92,8 +92,10 @@ def test_stress_fails_beyond_the_limits(mocapfix, monkeypatch):
 
 def test_contacts_are_summarised(mocapfix, monkeypatch):
     agreement = contacts.ContactAgreement("a", "whole", 100, 50, 50)
-    monkeypatch.setattr(contacts, "measure_contacts", lambda *_: ([], [agreement]))
-    status, out, _ = mocapfix("bench", "contacts", "--json")
+    calls = []
+    monkeypatch.setattr(contacts, "measure_contacts", lambda *arguments: calls.append(arguments) or ([], [agreement]))
+    status, out, _ = mocapfix("bench", "contacts", "--json", "--data", "a", "b", "--data", "c")
+    assert [str(folder) for folder in calls[0][0]] == ["a", "b", "c"]
     assert (status, json.loads(out)["contacts"][0]["found_frames"]) == (0, 50)
     status, out, _ = mocapfix("bench", "contacts")
     assert status == 0

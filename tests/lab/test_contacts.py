@@ -16,6 +16,7 @@ from mocapfix.lab.contacts import (
     compute_largest_accelerations,
     compute_slide,
     lose_feet,
+    measure_soft_mats,
     measure_take,
     read_motion_kinds,
     summarise_contacts,
@@ -78,9 +79,15 @@ def test_holding_feet_of_a_composed_take():
         for held in (soft, lock):
             assert held.other_joints_mm < off.other_joints_mm + 1.0
             assert held.acceleration_ratio < 1.2
-            assert held.sink_mm < 0.1
+            assert held.sink_mm < 0.2
     assert by_mode[LOST_FEET, "soft"].lost_fill_mm < by_mode[LOST_FEET, "off"].lost_fill_mm
     assert min(each.f1 for each in agreements) > 0.95
+
+
+def test_a_mat_that_hardly_yields_hides_few_contacts_and_a_deep_one_more():
+    by_depth = [each.f1 for each in measure_soft_mats("seed 1", remove_damage(compose_take(seed=1, seconds=6.0)))]
+    assert by_depth == sorted(by_depth, reverse=True)
+    assert by_depth[0] > 0.95 > by_depth[-1] > 0.8
 
 
 def test_kinds_are_those_of_descriptions(tmp_path):

@@ -92,8 +92,11 @@ def test_what_a_technician_must_know_of_the_floor_is_noted():
 
 def test_inferred_contacts_are_noted():
     assert describe(build_contacts()) == [
-        "1 contact of a heel or a ball of a foot is partly inferred: for 0.1 s in all, too few markers show the foot."
+        "1 contact of a heel or a ball of a foot is partly inferred: for 0.10 s in all, too few markers show the foot."
     ]
+    known = build_contacts().is_known.copy()
+    known[np.flatnonzero(~known.all(1))[1:]] = True
+    assert "for 0.01 s in all" in describe(replace(build_contacts(), is_known=known, rate=200.0))[0]
 
 
 def test_the_largest_disagreement_of_events_is_noted_and_all_are_in_the_section():
