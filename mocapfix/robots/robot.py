@@ -18,12 +18,21 @@ SOLE_CORNERS = ("heel left", "heel right", "toe left", "toe right")
 
 @dataclass(frozen=True)
 class CollisionPrimitives:
-    """C capsules on the links, whose ends coincide where they are spheres; boxes are rows of capsules inside them."""
+    """C capsules on the links, whose ends coincide where they are spheres, and B boxes.
+
+    A box also has a row of capsules inside it, for pairs of two boxes. Pairs are of links that the file lets meet and that are
+    more than two joints apart.
+    """
 
     links: Int[np.ndarray, " C"]
     ends: Float[np.ndarray, "C 2 3"]  # in the axes of the link, metres
     radii: Float[np.ndarray, " C"]  # metres
-    pairs: Int[np.ndarray, "P 2"]  # the pairs that must not meet: links that joints let meet and more than two joints apart
+    pairs: Int[np.ndarray, "P 2"]  # capsules, neither or both of which are parts of boxes
+    box_links: Int[np.ndarray, " B"]
+    box_centres: Float[np.ndarray, "B 3"]  # in the axes of the link, metres
+    box_rotations: Float[np.ndarray, "B 3 3"]  # box axes to link axes
+    box_halves: Float[np.ndarray, "B 3"]  # half the lengths of the edges, metres
+    box_pairs: Int[np.ndarray, "Q 2"]  # capsules that are no parts of boxes, and boxes
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,347 @@
+"""What a robot keeps of a performer: directions of limbs, rotations of trunk, head and feet, the path, and where feet stand.
+
+The performer's segments (`characters.body_frames`) have Y up and face Z; those of robots have Z up and face X. Places are scaled
+by the length of the legs, heights are above the floor without its slope: a robot walks up a ramp on the level.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.characters.body_frames import LIMB_AXES, BodyFrame, SegmentMotion
+from mocapfix.characters.kept_positions import level_feet, measure_flat_feet
+from mocapfix.contacts.contacts import FOOT_JOINTS, NO_FLOOR, BodyContacts
+from mocapfix.kernels.hinged_tree import (
+    ROOT_UNKNOWNS,
+    CollisionTerm,
+    FloorTerm,
+    HingedTerms,
+    HingedTree,
+    LineTerm,
+    LinkRotationTerm,
+    PlaceTerm,
+    place_points_of_frames,
+)
+from mocapfix.robots.robot import SIDES, LinkPoint, Robot, RobotMap
+from mocapfix.stats.sequences import find_runs
+
+ROBOT_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # from axes with Y up that face Z
+DIRECTION_SD_RAD = 0.015  # of the limbs
+HAND_SD_RAD = 0.1  # of the direction of a hand
+ROTATION_SD_RAD = {"pelvis": 0.05, "trunk": 0.1, "head": 0.1, "foot": 0.12}
+PATH_SD_M = (0.05, 0.05, 0.03)  # of the middle of the hips about its scaled path
+FLOOR_SD_M = 0.001  # of a sole below the floor
+STANDING_SD_M = 0.0003  # of heel and front edge of a sole in contact
+CORNER_SD_M = 0.0015
+"""Of the height of the corners of a sole in contact: a foot that cannot roll keeps its edges and tilts."""
+COLLISION_DISTANCE_M, COLLISION_SD_M = 0.006, 0.0015  # distance that primitives keep, and the standard deviation of a smaller one
+FLOOR_SEARCH_SD_M, COLLISION_SEARCH_SD_M = 0.01, 0.02
+"""The same while poses are still far. Without collisions in the search, hands end inside thighs in 2 % of an acrobat's frames."""
+
+
+def build_hinged_tree(robot: Robot) -> HingedTree:
+    """Return the links and joints as the kernels take them; joints that follow others have their unknowns."""
+    count = len(robot.joint_names)
+    followed = {follower: (leader, offset, factor) for follower, leader, offset, factor in robot.couplings}
+    leaders = [joint for joint in range(count) if joint not in followed]
+    place = {joint: k for k, joint in enumerate(leaders)}
+    unknowns = np.array([place[followed[joint][0] if joint in followed else joint] for joint in range(count)], int)
+    factors = np.array([followed[joint][2] if joint in followed else 1.0 for joint in range(count)])
+    offsets = np.array([followed[joint][1] if joint in followed else 0.0 for joint in range(count)])
+    first = np.searchsorted(robot.joint_links, np.arange(len(robot.parents) + 1))
+    paths, lengths = np.zeros((len(robot.parents), max(count, 1)), int), np.zeros(len(robot.parents), int)
+    for link, parent in enumerate(robot.parents):
+        joints = [*paths[parent, : lengths[parent]], *range(first[link], first[link + 1])] if parent >= 0 else []
+        paths[link, : len(joints)], lengths[link] = joints, len(joints)
+    arrays = robot.link_positions, robot.link_rotations, robot.joint_axes, robot.joint_anchors
+    positions, rotations, axes, anchors = map(np.ascontiguousarray, arrays)
+    return HingedTree(
+        robot.parents, positions, rotations, first, axes, anchors, robot.is_slide, unknowns, factors,
+        offsets - robot.zero_positions, paths, lengths,
+    )  # fmt: skip
+
+
+def list_leaders(tree: HingedTree) -> Int[np.ndarray, " U"]:
+    """Return the joint that each unknown is the position of."""
+    is_leader = (tree.factors == 1.0) & (np.diff(tree.unknowns, prepend=-1) > 0)
+    return np.array([np.flatnonzero(is_leader & (tree.unknowns == k))[0] for k in range(tree.unknowns.max(initial=-1) + 1)], int)
+
+
+def pose_links(
+    tree: HingedTree, joints: Float[np.ndarray, " U"], links: Int[np.ndarray, " P"], offsets: Float[np.ndarray, "P 3"]
+) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, "P 3 3"]]:
+    """Return where points are, and the rotations of their links, with the root at the origin and unturned."""
+    places, rotations = np.empty((1, len(links), 3)), np.empty((1, len(links), 3, 3))
+    unknowns = np.concatenate([np.zeros(ROOT_UNKNOWNS), joints])[None]
+    place_points_of_frames(tree, np.eye(3)[None], unknowns, links, np.ascontiguousarray(offsets), places, rotations)
+    return places[0], rotations[0]
+
+
+@dataclass(frozen=True)
+class Sole:
+    """The sole of a foot: its edges are the middles between two corners each."""
+
+    link: int
+    corners: Float[np.ndarray, "4 3"]  # in the order of SOLE_CORNERS, in the link's axes, metres
+
+    @property
+    def edges(self) -> Float[np.ndarray, "2 3"]:
+        """Heel and front."""
+        return self.corners.reshape(2, 2, 3).mean(axis=1)
+
+    @property
+    def length_m(self) -> float:
+        return float(np.linalg.norm(np.diff(self.edges, axis=0)))
+
+    @property
+    def axes(self) -> Float[np.ndarray, "3 3"]:
+        """Forward, left and up of the sole, as columns, in the link's axes."""
+        forward = self.edges[1] - self.edges[0]
+        leftward = self.corners[0] + self.corners[2] - self.corners[1] - self.corners[3]
+        up = np.cross(forward, leftward)
+        forward, up = forward / np.linalg.norm(forward), up / np.linalg.norm(up)
+        return np.stack([forward, np.cross(up, forward), up], axis=1)
+
+
+@dataclass(frozen=True)
+class RobotBody:
+    """A robot as the solve takes it."""
+
+    robot: Robot
+    map: RobotMap
+    tree: HingedTree
+    soles: dict[str, Sole]
+
+    @property
+    def edge_links(self) -> Int[np.ndarray, " 4"]:
+        """The links of heel and front of the left and the right sole."""
+        return np.repeat([self.soles[side].link for side in SIDES], 2)
+
+    @property
+    def edge_offsets(self) -> Float[np.ndarray, "4 3"]:
+        return np.concatenate([self.soles[side].edges for side in SIDES])
+
+    @property
+    def corner_links(self) -> Int[np.ndarray, " 8"]:
+        return np.repeat([self.soles[side].link for side in SIDES], 4)
+
+    @property
+    def corner_offsets(self) -> Float[np.ndarray, "8 3"]:
+        return np.concatenate([self.soles[side].corners for side in SIDES])
+
+    def measure_standing(self, point: LinkPoint) -> Float[np.ndarray, " 3"]:
+        """Return where a point is in the upright stance, relative to the root, in its axes, in metres."""
+        standing = self.map.standing[list_leaders(self.tree)]
+        return pose_links(self.tree, standing, np.array([point.link]), point.position[None])[0][0]
+
+    def turn_standing(self, link: int) -> Float[np.ndarray, "3 3"]:
+        """Return the rotation of a link in the upright stance, to the root's axes."""
+        standing = self.map.standing[list_leaders(self.tree)]
+        return pose_links(self.tree, standing, np.array([link]), np.zeros((1, 3)))[1][0]
+
+    @property
+    def leg_length_m(self) -> float:
+        """The length of thigh and shin."""
+        lengths = [
+            np.linalg.norm(self.measure_standing(far) - self.measure_standing(near))
+            for name, (near, far) in self.map.limbs.items()
+            if name.endswith(("thigh", "shin"))
+        ]
+        return float(np.sum(lengths)) / len(SIDES)
+
+    @property
+    def hip_centre(self) -> Float[np.ndarray, " 3"]:
+        """The middle of the hips in the upright stance, relative to the root, in its axes, in metres."""
+        return np.mean([self.measure_standing(hip) for hip in self.map.hips.values()], axis=0)
+
+    @property
+    def ankle_height_m(self) -> float:
+        """Height of the ends of the shins above flat soles."""
+        heights: list[float] = []
+        for side, sole in self.soles.items():
+            ankle = self.map.limbs[f"{side}_shin"][1]
+            heights.append(
+                float((self.measure_standing(ankle) - self.measure_standing(LinkPoint(sole.link, sole.corners.mean(0))))[2])
+            )
+        return float(np.mean(heights))
+
+
+def build_robot_body(robot: Robot, robot_map: RobotMap) -> RobotBody:
+    """Return a robot as the solve takes it."""
+    soles = {side: Sole(robot_map.feet[side], robot_map.soles[side]) for side in SIDES}
+    return RobotBody(robot, robot_map, build_hinged_tree(robot), soles)
+
+
+@dataclass(frozen=True)
+class RobotTargets:
+    """The terms of T frames, and what the search for a start and for places to stand needs."""
+
+    terms: HingedTerms
+    rate: float
+    hips: Float[np.ndarray, "T 3"]  # scaled path of the middle of the hips, metres
+    pelvis: Float[np.ndarray, "T 3 3"]  # rotations of the pelvis from the upright stance
+    contacts: dict[
+        tuple[str, int], list[tuple[int, int]]
+    ]  # side, and 0 for the heel or 1 for the front, to first and last frames
+    heights: Float[np.ndarray, "T 2"]  # of the level under each foot, scaled, metres
+
+    def loosen(self) -> "RobotTargets":
+        """Return the targets of a search: feet stand nowhere, soles may sink and parts may meet a little."""
+        place, floor, collision = self.terms.place, self.terms.floor, self.terms.collision
+        weights = place.weights.copy()
+        weights[:, 1:] = 0.0
+        terms = self.terms._replace(
+            place=place._replace(weights=weights),
+            floor=floor._replace(weight=FLOOR_SEARCH_SD_M**-2),
+            collision=collision._replace(weight=COLLISION_SEARCH_SD_M**-2),
+        )
+        return replace(self, terms=terms)
+
+    def select_frames(self, frames: slice) -> HingedTerms:
+        """Return the terms of some frames."""
+        place, line, rotation = self.terms.place, self.terms.line, self.terms.rotation
+        return self.terms._replace(
+            place=place._replace(places=place.places[frames], weights=place.weights[frames]),
+            line=line._replace(directions=line.directions[frames], weights=line.weights[frames]),
+            rotation=rotation._replace(rotations=rotation.rotations[frames], weights=rotation.weights[frames]),
+        )
+
+
+def compute_robot_targets(
+    body: RobotBody, source: BodyFrame, motion: SegmentMotion, contacts: BodyContacts | None, rate: float
+) -> RobotTargets:
+    """Return what a robot keeps of a performer.
+
+    Args:
+        body: The robot.
+        source: The performer.
+        motion: The performer's segments, Y up, over T frames.
+        contacts: At the same rate; without them feet stand nowhere.
+        rate: Frames per second.
+    """
+    flat_feet = measure_flat_feet(source, motion, contacts)
+    motion = level_feet(motion, flat_feet)
+    floor = NO_FLOOR if contacts is None else contacts.floor
+    scale, count = body.leg_length_m / source.leg_length_m, len(motion.rotation["pelvis"])
+    hips = np.mean([motion.position[f"{side}_thigh"] for side in SIDES], axis=0)
+    ankle_m = np.mean([flat.compute_ankle_height(source.compute_ball(side)) for side, flat in flat_feet.items()])
+    path = scale * np.stack([hips[:, 2], hips[:, 0], floor.remove_slope(hips) - floor.height_m - ankle_m], axis=1)
+    path[:, 2] += body.ankle_height_m
+    balls = {side: motion.carry(f"{side}_foot", source.compute_ball(side)) for side in SIDES}
+    levels = [floor.remove_slope(ball) - floor.height_m - floor.compute_height_above(ball) for ball in balls.values()]
+    told = {
+        (side, end): find_runs(contacts.is_contact[:, contacts.joints.index(joint)]) if contacts is not None else []
+        for side, joints in FOOT_JOINTS.items()
+        for end, joint in enumerate(joints)
+    }
+    pelvis = _convert_rotations(motion.rotation["pelvis"])
+    terms = HingedTerms(
+        _build_place_term(body, path),
+        _build_floor_term(body),
+        _build_line_term(body, motion, count),
+        _build_rotation_term(body, motion, count),
+        _build_collision_term(body.robot),
+    )
+    return RobotTargets(terms, rate, path, pelvis, told, scale * np.stack(levels, axis=1))
+
+
+def _convert_rotations(rotation: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the rotations of a segment from the standard pose in a robot's axes."""
+    return ROBOT_AXES @ rotation @ ROBOT_AXES.T
+
+
+def _build_place_term(body: RobotBody, path: Float[np.ndarray, "T 3"]) -> PlaceTerm:
+    """Return the path of the hips, and then the edges and the corners of the soles, which stand nowhere yet."""
+    turn, links = body.turn_standing(body.map.pelvis), np.array([body.map.pelvis, *body.edge_links, *body.corner_links])
+    centre = turn.T @ (body.hip_centre - body.measure_standing(LinkPoint(body.map.pelvis, np.zeros(3))))
+    offsets = np.concatenate([centre[None], body.edge_offsets, body.corner_offsets])
+    places, weights = np.zeros((2, len(path), len(links), 3))
+    places[:, 0], weights[:, 0] = path, np.array(PATH_SD_M) ** -2
+    return PlaceTerm(links, offsets, places, weights)
+
+
+def _build_line_term(body: RobotBody, motion: SegmentMotion, count: int) -> LineTerm:
+    links: list[tuple[int, int]] = []
+    offsets: list[tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]] = []
+    segments: list[str] = []
+    for segment, (near, far) in body.map.limbs.items():
+        links.append((near.link, far.link))
+        offsets.append((near.position, far.position))
+        segments.append(segment)
+    for side, link in body.map.hands.items():  # a hand points along the forearm in the upright stance
+        near, far = (body.measure_standing(point) for point in body.map.limbs[f"{side}_forearm"])
+        along = body.turn_standing(link).T @ (far - near)
+        links.append((link, link))
+        offsets.append((np.zeros(3), along / np.linalg.norm(along)))
+        segments.append(f"{side}_hand")
+    axes = LIMB_AXES | {f"{side}_hand": LIMB_AXES[f"{side}_forearm"] for side in SIDES}
+    directions = np.stack([motion.rotation[segment] @ axes[segment] @ ROBOT_AXES.T for segment in segments], axis=1)
+    sd = np.array([HAND_SD_RAD if segment.endswith("hand") else DIRECTION_SD_RAD for segment in segments])
+    return LineTerm(np.array(links), np.array(offsets), np.ascontiguousarray(directions), np.tile(sd**-2.0, (count, 1)))
+
+
+def _build_rotation_term(body: RobotBody, motion: SegmentMotion, count: int) -> LinkRotationTerm:
+    links = {"pelvis": body.map.pelvis, "trunk": body.map.trunk, "head": body.map.head}
+    if body.map.head == body.map.trunk:
+        del links["head"]
+    segments = {"pelvis": "pelvis", "trunk": "chest", "head": "head"}
+    rotations = [_convert_rotations(motion.rotation[segments[part]]) @ body.turn_standing(link) for part, link in links.items()]
+    sd = [ROTATION_SD_RAD[part] for part in links]
+    for side, sole in body.soles.items():
+        rotations.append(_convert_rotations(motion.rotation[f"{side}_foot"]) @ sole.axes.T)
+        sd.append(ROTATION_SD_RAD["foot"])
+    joints = np.array([*links.values(), *(sole.link for sole in body.soles.values())])
+    return LinkRotationTerm(joints, np.ascontiguousarray(np.stack(rotations, axis=1)), np.tile(np.array(sd) ** -2, (count, 1)))
+
+
+def _build_floor_term(body: RobotBody) -> FloorTerm:
+    """Return soles above the floor, and the primitives of the other links."""
+    each = body.robot.collision
+    is_body = ~np.isin(each.links, [sole.link for sole in body.soles.values()])
+    links = np.concatenate([body.corner_links, np.repeat(each.links[is_body], 2)])
+    offsets = np.concatenate([body.corner_offsets, each.ends[is_body].reshape(-1, 3)])
+    heights = np.concatenate([np.zeros(len(body.corner_links)), np.repeat(each.radii[is_body], 2)])
+    return FloorTerm(links, offsets, heights, FLOOR_SD_M**-2)
+
+
+def _build_collision_term(robot: Robot) -> CollisionTerm:
+    each = robot.collision
+    return CollisionTerm(
+        each.links, each.ends, each.radii, each.pairs, each.box_links, each.box_centres, each.box_rotations, each.box_halves,
+        each.box_pairs, COLLISION_DISTANCE_M, COLLISION_SD_M**-2,
+    )  # fmt: skip
+
+
+def stand_feet(body: RobotBody, targets: RobotTargets, edges: Float[np.ndarray, "T 4 3"]) -> RobotTargets:
+    """Return the targets with places for the soles in contact.
+
+    Heel and front of a foot that are in contact together are a sole's length apart. So a foot that rolls from the heel to the
+    front stays where it is, and one that turns on its front sets the heel down elsewhere.
+
+    Args:
+        body: The robot.
+        targets: Its targets; the place term has the edges of the soles after the hips, then the corners.
+        edges: Where the edges are in a motion without places to stand, as `RobotBody.edge_links`, in metres.
+    """
+    term = targets.terms.place
+    places, weights = term.places.copy(), term.weights.copy()
+    for k, side in enumerate(SIDES):
+        length, found = body.soles[side].length_m, dict[tuple[int, int, int], Float[np.ndarray, " 2"]]()
+        runs = sorted((first, last, end) for end in (0, 1) for first, last in targets.contacts[side, end])
+        for first, last, end in runs:
+            together = [(min(last, other[1]) - max(first, other[0]), other) for other in found if other[2] != end]
+            overlap, other = max(together, default=(-1, (0, 0, 0)))
+            if overlap < 0:
+                place = edges[first : last + 1, 2 * k + end, :2].mean(axis=0)
+            else:
+                both = slice(max(first, other[0]), min(last, other[1]) + 1)
+                forward = (edges[both, 2 * k + 1, :2] - edges[both, 2 * k, :2]).mean(axis=0)
+                place = found[other] + (2 * end - 1) * length * forward / np.linalg.norm(forward)
+            found[first, last, end] = place
+            run, height = slice(first, last + 1), float(np.median(targets.heights[first : last + 1, k]))
+            places[run, 1 + 2 * k + end] = [*place, height]
+            weights[run, 1 + 2 * k + end] = STANDING_SD_M**-2
+            corners = 5 + 4 * k + 2 * end + np.arange(2)
+            places[run, corners, 2], weights[run, corners, 2] = height, CORNER_SD_M**-2
+    return replace(targets, terms=targets.terms._replace(place=term._replace(places=places, weights=weights)))
