@@ -1,0 +1,375 @@
+"""Which links of a robot form its body: found by structure, or read from YAML.
+
+A robot stands upright and looks along X at zero angles. Its joints form a tree: those whose subtree has ends on both sides are
+central, and each tree of joints beside these is a limb. The lowest of a side is the leg, the one of the others that reaches
+farthest is the arm.
+
+- A knee is the joint about a lateral axis that is farthest from both ends of the leg; an elbow likewise about an axis across the
+  arm.
+- A thigh or upper arm begins at the last joint before it whose axis is across it. The anchor of that joint may be anywhere on its
+  axis: where the axis about which the limb twists is along the limb, the point nearest to that axis counts.
+- A shin ends at the ankle; a forearm at the wrist, at the last of its joints across it, or where the arm ends.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import yaml
+from jaxtyping import Float
+from pydantic import Field
+
+from mocapfix.errors import SceneError
+from mocapfix.io.files import replace_atomically
+from mocapfix.io.yaml_files import StrictModel, read_yaml_model
+from mocapfix.kernels.hinged_tree import HingedTree
+from mocapfix.robots.robot import LIMBS, SIDES, LinkPoint, Robot, RobotMap
+from mocapfix.robots.robot_targets import build_hinged_tree, pose_links
+
+MIN_SIDE_M = 0.02  # distance from the middle from which the end of a limb is on a side
+MIN_LATERAL_COSINE = 0.8  # between the axis of a knee and the lateral axis
+MAX_ACROSS_COSINE = 0.7  # between a limb and the axis of a joint across it
+MIN_ALONG_COSINE = 0.99  # between a limb and the axis about which it twists, from which this axis is in the middle of the limb
+WRIST_EXTENT_M = 0.05  # largest distance between the joints of one wrist
+SOLE_DEPTH_M = 0.008  # height above the lowest point of a foot up to which points belong to the sole
+
+
+@dataclass(frozen=True)
+class StandingRobot:
+    """A robot at zero joint positions, or the nearest within their limits; the root is at the origin and not turned."""
+
+    robot: Robot
+    tree: HingedTree
+    standing: Float[np.ndarray, " N"]
+    positions: Float[np.ndarray, "L 3"]
+    rotations: Float[np.ndarray, "L 3 3"]
+
+    @property
+    def parents(self) -> list[int]:
+        """The joint before each joint, -1 if there is none."""
+        tree, parents = self.tree, list[int]()
+        for joint, link in enumerate(self.robot.joint_links):
+            path = tree.paths[link, : tree.path_lengths[link]].tolist()
+            before = path[: path.index(joint)]
+            parents.append(before[-1] if before else -1)
+        return parents
+
+    def place(self, point: LinkPoint) -> Float[np.ndarray, " 3"]:
+        return self.positions[point.link] + self.rotations[point.link] @ point.position
+
+    def attach(self, link: int, place: Float[np.ndarray, " 3"]) -> LinkPoint:
+        """Return the point of a link that is at a place."""
+        return LinkPoint(link, self.rotations[link].T @ (place - self.positions[link]))
+
+    def find_anchor(self, joint: int) -> Float[np.ndarray, " 3"]:
+        link = int(self.robot.joint_links[joint])
+        return self.place(LinkPoint(link, self.robot.joint_anchors[joint]))
+
+    def find_axis(self, joint: int) -> Float[np.ndarray, " 3"]:
+        return self.rotations[self.robot.joint_links[joint]] @ self.robot.joint_axes[joint]
+
+    def list_fixed_links(self, link: int) -> list[int]:
+        """Return a link and those that are fixed to it."""
+        fixed = [link]
+        for each in range(link + 1, len(self.robot.parents)):
+            if self.robot.parents[each] in fixed and each not in self.robot.joint_links:
+                fixed.append(each)
+        return fixed
+
+    def list_points(self, link: int) -> Float[np.ndarray, "P 3"]:
+        """Return the ends of the capsules of a link and of those fixed to it, and the origins of the latter."""
+        links, collision = self.list_fixed_links(link), self.robot.collision
+        points = [self.positions[each] for each in links[1:]]
+        for capsule in np.flatnonzero(np.isin(collision.links, links)):
+            points += [self.place(LinkPoint(int(collision.links[capsule]), end)) for end in collision.ends[capsule]]
+        return np.array(points).reshape(-1, 3)
+
+
+def stand_robot(robot: Robot) -> StandingRobot:
+    """Return a robot at zero joint positions, or at the nearest within their limits."""
+    tree = build_hinged_tree(robot)
+    standing = np.clip(np.zeros(len(robot.joint_names)), *robot.limits.T)
+    unknowns = np.zeros(tree.unknowns.max(initial=-1) + 1)
+    unknowns[tree.unknowns[::-1]] = standing[::-1]
+    links = np.arange(len(robot.parents))
+    return StandingRobot(robot, tree, standing, *pose_links(tree, unknowns, links, np.zeros((len(links), 3))))
+
+
+def find_robot_map(robot: Robot) -> RobotMap:
+    """Find the body of a robot by structure.
+
+    Raises:
+        SceneError: If it has not two legs with knees and two arms with elbows, or does not look along X.
+    """
+    body = stand_robot(robot)
+    limbs, neck_joints = _find_limbs(body)
+    points: dict[str, tuple[LinkPoint, LinkPoint]] = {}
+    feet, soles, hands = dict[str, int](), dict[str, Float[np.ndarray, "4 3"]](), dict[str, int]()
+    for side in SIDES:
+        leg, arm = limbs[f"{side}_leg"], limbs[f"{side}_arm"]
+        feet[side] = int(robot.joint_links[leg[-1]])
+        soles[side] = _find_sole(body, feet[side])
+        sole_centre = body.place(LinkPoint(feet[side], soles[side].mean(axis=0)))
+        points |= _find_leg(body, side, leg, sole_centre)
+        arm_points, hand = _find_arm(body, side, arm)
+        points |= arm_points
+        if hand is not None:
+            hands[side] = hand
+    if min(float(body.rotations[feet[side]][0] @ (soles[side][2:].mean(0) - soles[side][:2].mean(0))) for side in SIDES) <= 0:
+        raise SceneError(f"{robot.name}: the robot does not look along X; give --character-map with its body.")
+    pelvis, trunk = (_find_base_link(body, limbs[f"{SIDES[0]}_{limb}"][0]) for limb in ("leg", "arm"))
+    heads = [link for link in robot.joint_links[neck_joints].tolist() if trunk in _list_above(robot, link)]
+    head = max(heads, key=lambda link: float(body.positions[link][2]), default=trunk)
+    hips = {side: points[f"{side}_thigh"][0] for side in SIDES}
+    return RobotMap(points, hips, feet, soles, pelvis, trunk, head, hands, body.standing, "Found by the structure of the robot.")
+
+
+def _list_above(robot: Robot, link: int) -> list[int]:
+    """Return the links from a link to the root."""
+    links = [link]
+    while robot.parents[links[-1]] >= 0:
+        links.append(int(robot.parents[links[-1]]))
+    return links
+
+
+def _find_base_link(body: StandingRobot, joint: int) -> int:
+    """Return the link that carries a limb: that of the joint before its first one, with what is fixed to it, or the root."""
+    before = body.parents[joint]
+    return int(body.robot.joint_links[before]) if before >= 0 else 0
+
+
+def _find_limbs(body: StandingRobot) -> tuple[dict[str, list[int]], list[int]]:
+    """Return the joints of legs and arms from the trunk outwards, and those that move only what is in the middle."""
+    robot, parents = body.robot, body.parents
+    children = {joint: [k for k, parent in enumerate(parents) if parent == joint] for joint in range(-1, len(parents))}
+    sides: dict[int, set[str]] = {}
+    for joint in reversed(range(len(parents))):
+        if children[joint]:
+            sides[joint] = set[str]().union(*(sides[child] for child in children[joint]))
+        else:
+            tip = np.vstack([body.find_anchor(joint)[None], body.list_points(int(robot.joint_links[joint]))])[:, 1].mean()
+            sides[joint] = {"left"} if tip > MIN_SIDE_M else {"right"} if tip < -MIN_SIDE_M else {"middle"}
+    is_limb = [len(sides[joint]) == 1 and "middle" not in sides[joint] for joint in range(len(parents))]
+    found: dict[str, list[int]] = {}
+    for side in SIDES:
+        starts = [
+            j for j in range(len(parents)) if is_limb[j] and side in sides[j] and (parents[j] < 0 or not is_limb[parents[j]])
+        ]
+        chains: list[list[int]] = []
+        for start in starts:
+            chain = [start]
+            while len(children[chain[-1]]) == 1:
+                chain.append(children[chain[-1]][0])
+            chains.append(chain)
+        chains = [chain for chain in chains if len(chain) > 1]
+        if len(chains) < 2:
+            raise SceneError(
+                f"{robot.name}: an arm and a leg on the {side} were not found; a robot needs both, or give --character-map."
+            )
+        leg = min(chains, key=lambda chain: body.find_anchor(chain[-1])[2])
+        arms = [chain for chain in chains if chain is not leg]
+        reach = [float(np.linalg.norm(body.find_anchor(chain[-1]) - body.find_anchor(chain[0]))) for chain in arms]
+        found |= {f"{side}_leg": leg, f"{side}_arm": arms[int(np.argmax(reach))]}
+    return found, [joint for joint in range(len(parents)) if sides[joint] == {"middle"}]
+
+
+def _find_middle_joint(body: StandingRobot, chain: Sequence[int], end: Float[np.ndarray, " 3"], is_bend: Sequence[bool]) -> int:
+    """Return the place in a limb of the bending joint that is farthest from both of its ends."""
+    start = body.find_anchor(chain[0])
+    places = np.array([body.find_anchor(joint) for joint in chain])
+    distance = np.where(is_bend, np.minimum(*(np.linalg.norm(places - each, axis=1) for each in (start, end))), -1.0)
+    if distance.max() <= 0:
+        raise SceneError(
+            f"{body.robot.name}: no knee or elbow was found after {body.robot.joint_names[chain[0]]}; give --character-map."
+        )
+    return int(np.argmax(distance))
+
+
+def _find_start(body: StandingRobot, chain: Sequence[int], middle: Float[np.ndarray, " 3"]) -> LinkPoint:
+    """Return where the first segment of a limb begins, from the joints before its knee or elbow."""
+    across = [joint for joint in chain if _is_across(body, joint, middle - body.find_anchor(joint))] or list(chain[:1])
+    last = across[-1]
+    anchor, axis = body.find_anchor(last), body.find_axis(last)
+    for joint in chain[list(chain).index(last) + 1 :]:
+        along, line = body.find_axis(joint), middle - body.find_anchor(joint)
+        if abs(along @ line) > MIN_ALONG_COSINE * np.linalg.norm(line) and abs(axis @ along) < MAX_ACROSS_COSINE:
+            apart = body.find_anchor(joint) - anchor  # the point of the axis nearest to the axis of the twist
+            product = axis @ along
+            anchor = anchor + (apart @ axis - product * (apart @ along)) / (1.0 - product**2) * axis
+            break
+    return body.attach(int(body.robot.joint_links[last]), anchor)
+
+
+def _is_across(body: StandingRobot, joint: int, line: Float[np.ndarray, " 3"]) -> bool:
+    """Return whether a joint turns a line, other than about itself."""
+    length = float(np.linalg.norm(line))
+    return (
+        length > 1e-6 and not body.robot.is_slide[joint] and abs(float(body.find_axis(joint) @ line)) < MAX_ACROSS_COSINE * length
+    )
+
+
+def _find_leg(
+    body: StandingRobot, side: str, chain: Sequence[int], sole: Float[np.ndarray, " 3"]
+) -> dict[str, tuple[LinkPoint, LinkPoint]]:
+    lateral = [abs(float(body.find_axis(joint)[1])) > MIN_LATERAL_COSINE for joint in chain]
+    knee = _find_middle_joint(body, chain, sole, lateral)
+    ankles = [joint for joint in chain[knee + 1 :] if abs(float(body.find_axis(joint)[1])) > MIN_LATERAL_COSINE]
+    ankle_joint = chain[knee + 1] if len(chain) > knee + 1 else -1
+    ankle = body.find_anchor(ankles[0] if ankles else ankle_joint) if ankle_joint >= 0 else sole
+    shin_link, knee_place = int(body.robot.joint_links[chain[knee]]), body.find_anchor(chain[knee])
+    start = _find_start(body, chain[:knee], knee_place)
+    return {
+        f"{side}_thigh": (start, body.attach(shin_link, knee_place)),
+        f"{side}_shin": (body.attach(shin_link, knee_place), body.attach(shin_link, ankle)),
+    }
+
+
+def _find_arm(body: StandingRobot, side: str, chain: Sequence[int]) -> tuple[dict[str, tuple[LinkPoint, LinkPoint]], int | None]:
+    """Return the segments of an arm, and the link of the hand if joints move it."""
+    last_link = int(body.robot.joint_links[chain[-1]])
+    points = body.list_points(last_link)
+    far = np.linalg.norm(points - body.find_anchor(chain[-1]), axis=1)
+    tip = points[int(np.argmax(far))] if len(points) else body.find_anchor(chain[-1])
+    bends = [
+        k > 0 and _is_across(body, joint, body.find_anchor(joint) - body.find_anchor(chain[0])) for k, joint in enumerate(chain)
+    ]
+    elbow = _find_middle_joint(body, chain, tip, bends)
+    place = body.find_anchor(chain[elbow])
+    wrists = [joint for joint in chain[elbow + 1 :] if _is_across(body, joint, body.find_anchor(joint) - place)]
+    wrists = [joint for joint in wrists if np.linalg.norm(body.find_anchor(joint) - body.find_anchor(wrists[0])) < WRIST_EXTENT_M]
+    forearm_link = int(body.robot.joint_links[chain[elbow]])
+    fixed = body.positions[body.list_fixed_links(last_link)[1:]]
+    ends = fixed[np.linalg.norm(fixed - body.find_anchor(chain[-1]), axis=1) > WRIST_EXTENT_M]
+    if not wrists and len(ends):
+        tip = ends[-1]
+    elif not wrists:  # shapes may be short or beside the arm: it points to its centre of mass
+        below = [link for link in range(forearm_link, len(body.robot.parents)) if forearm_link in _list_above(body.robot, link)]
+        centres = np.array([body.place(LinkPoint(link, body.robot.mass_centres[link])) for link in below])
+        centre = np.average(centres, axis=0, weights=body.robot.masses[below])
+        tip = place + (centre - place) * np.linalg.norm(tip - place) / np.linalg.norm(centre - place)
+    end_link = int(body.robot.joint_links[wrists[-1]]) if wrists else last_link
+    end = body.attach(end_link, body.find_anchor(wrists[-1]) if wrists else tip)
+    start = _find_start(body, chain[:elbow], place)
+    limbs = {
+        f"{side}_upper_arm": (start, body.attach(forearm_link, place)),
+        f"{side}_forearm": (body.attach(forearm_link, place), end),
+    }
+    return limbs, (last_link if wrists else None)
+
+
+def _find_sole(body: StandingRobot, foot: int) -> Float[np.ndarray, "4 3"]:
+    """Return the corners of a rectangle about the lowest points of a foot's shapes."""
+    links, collision = body.list_fixed_links(foot), body.robot.collision
+    points: list[Float[np.ndarray, " 3"]] = []
+    is_box = np.isin(collision.box_links, links)
+    for box in np.flatnonzero(is_box):
+        for signs in np.ndindex(2, 2, 2):
+            corner = collision.box_centres[box] + collision.box_rotations[box] @ (
+                collision.box_halves[box] * (2.0 * np.array(signs) - 1.0)
+            )
+            points.append(body.place(LinkPoint(int(collision.box_links[box]), corner)))
+    for capsule in np.flatnonzero(np.isin(collision.links, links)) if not is_box.any() else ():
+        for end in collision.ends[capsule]:
+            place = body.place(LinkPoint(int(collision.links[capsule]), end))
+            points.append(place - [0.0, 0.0, collision.radii[capsule]])
+    if len(points) < 3:
+        raise SceneError(
+            f"{body.robot.name}: the foot {body.robot.link_names[foot]} has no shapes of a sole; give --character-map with it."
+        )
+    found = np.array(points)
+    lowest = found[:, 2].min()
+    low, high = (choose(found[found[:, 2] < lowest + SOLE_DEPTH_M, :2], axis=0) for choose in (np.min, np.max))
+    corners = np.array([(low[0], high[1], lowest), (low[0], low[1], lowest), (*high, lowest), (high[0], low[1], lowest)])
+    return np.array([body.attach(foot, corner).position for corner in corners])
+
+
+Coordinates = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class PointFile(StrictModel):
+    """A point of a link, in its axes, metres."""
+
+    link: str
+    position: Coordinates = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+class FootFile(StrictModel):
+    """A foot: the corners of its sole are heel left, heel right, toe left, toe right."""
+
+    link: str
+    sole: Annotated[list[Coordinates], Field(min_length=4, max_length=4)]
+
+
+class RobotMapFile(StrictModel):
+    """The content of a file with the body of a robot."""
+
+    pelvis: str
+    trunk: str
+    head: str
+    hands: dict[str, str] = Field(default_factory=dict)
+    limbs: dict[str, Annotated[list[PointFile], Field(min_length=2, max_length=2)]]
+    hips: dict[str, PointFile]
+    feet: dict[str, FootFile]
+    standing: dict[str, float] = Field(default_factory=dict)  # joint positions that are not zero
+
+
+def read_robot_map(path: Path, robot: Robot) -> RobotMap:
+    """Read the body of a robot from YAML. Raises SceneError as `read_yaml_model` does, and if a name is not the robot's."""
+    content = read_yaml_model(RobotMapFile, path)
+
+    def find(name: str) -> int:
+        if name not in robot.link_names:
+            raise SceneError(f"{path.name}: {robot.name} has no link {name}; its links are in the file of the robot.")
+        return robot.link_names.index(name)
+
+    def convert(point: PointFile) -> LinkPoint:
+        return LinkPoint(find(point.link), np.array(point.position))
+
+    if missing := [key for key in (*LIMBS,) if key not in content.limbs]:
+        raise SceneError(f"{path.name}: limbs: {missing[0]} is missing.")
+    if missing := [side for side in SIDES if side not in content.hips or side not in content.feet]:
+        raise SceneError(f"{path.name}: hips and feet must have {missing[0]}.")
+    if unknown := [name for name in content.standing if name not in robot.joint_names]:
+        raise SceneError(f"{path.name}: standing: {robot.name} has no joint {unknown[0]}.")
+    standing = np.array([content.standing.get(name, 0.0) for name in robot.joint_names])
+    return RobotMap(
+        {name: (convert(content.limbs[name][0]), convert(content.limbs[name][1])) for name in LIMBS},
+        {side: convert(content.hips[side]) for side in SIDES},
+        {side: find(content.feet[side].link) for side in SIDES},
+        {side: np.array(content.feet[side].sole) for side in SIDES},
+        find(content.pelvis),
+        find(content.trunk),
+        find(content.head),
+        {side: find(name) for side, name in content.hands.items()},
+        np.clip(standing, *robot.limits.T),
+        f"Read from {path.name}.",
+    )
+
+
+def write_robot_map(target: Path, robot: Robot, robot_map: RobotMap) -> None:
+    """Write the body of a robot as YAML, to be edited and read again. Raises WriteError if `target` is not writable."""
+
+    def convert(point: LinkPoint) -> dict[str, object]:
+        return {"link": robot.link_names[point.link], "position": np.round(point.position, 5).tolist()}
+
+    content = {
+        "pelvis": robot.link_names[robot_map.pelvis],
+        "trunk": robot.link_names[robot_map.trunk],
+        "head": robot.link_names[robot_map.head],
+        "hands": {side: robot.link_names[link] for side, link in robot_map.hands.items()},
+        "limbs": {name: [convert(point) for point in ends] for name, ends in robot_map.limbs.items()},
+        "hips": {side: convert(point) for side, point in robot_map.hips.items()},
+        "feet": {
+            side: {"link": robot.link_names[link], "sole": np.round(robot_map.soles[side], 5).tolist()}
+            for side, link in robot_map.feet.items()
+        },
+        "standing": {
+            name: round(float(value), 5) for name, value in zip(robot.joint_names, robot_map.standing, strict=True) if value
+        },
+    }
+    head = f"# The body of the robot {robot.name}; edit it and give it as --character-map. {robot_map.reason}\n"
+    text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=130)
+    with replace_atomically(target) as part:
+        part.write_text(text, encoding="utf-8")
