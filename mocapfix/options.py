@@ -25,7 +25,11 @@ INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "regis
 DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
 CHARACTER_PRESETS = ("daz-g8", "daz-g9", "humanik", "metahuman", "mixamo", "rigify", "smpl", "unreal", "vrm")  # in scenes/rigs
-EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "amass", "c3d", "trc", "csv", "contacts", "events", "fbx", "usd", "sheet")
+ROBOT_SUFFIXES = (".xml", ".mjcf", ".urdf")  # of files that hold robots
+ROBOT_FORMAT_NAMES = ("robot-npz", "robot-csv", "robot-pkl")  # formats of a robot's motion; the first is always written
+EXTRA_FORMAT_NAMES = (
+    "gltf", "amc", "npz", "amass", "c3d", "trc", "csv", "contacts", "events", "fbx", "usd", "sheet", *ROBOT_FORMAT_NAMES,
+)  # fmt: skip
 """formats that are written on request (`output_formats.OPTIONAL_FORMATS`)"""
 REPAIRABLE_KINDS = (
     "gap", "spike", "pop", "flip", "jitter", "stuck", "ghost", "straight", "computed", "swap", "mislabelled", "fragment",
@@ -290,7 +294,8 @@ class OutputOptions(StageOptions):
     )  # fmt: skip
     characters: tuple[str | Path, ...] = define_option(
         (), "--character", "PRESET|FILE",
-        f"also write the motion of a character: {', '.join(CHARACTER_PRESETS)}, or a .glb, .vrm, .fbx, .bvh or .yaml file",
+        f"also write the motion of a character: {', '.join(CHARACTER_PRESETS)}, or a .glb, .vrm, .fbx, .bvh or .yaml file; "
+        "a robot: an MJCF (.xml) or a .urdf",
         job_key="write.character", default_text="none", is_file=True,
     )  # fmt: skip
     character_map: str | Path | None = define_option(

@@ -34,7 +34,14 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import TableLayout, Take
-from mocapfix.options import CHARACTER_OPTIONS, OPTION_BY_NAME, ROOT_IN_PLACE, OutputOptions
+from mocapfix.options import (
+    CHARACTER_OPTIONS,
+    OPTION_BY_NAME,
+    ROBOT_FORMAT_NAMES,
+    ROBOT_SUFFIXES,
+    ROOT_IN_PLACE,
+    OutputOptions,
+)
 from mocapfix.report.report import Report
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.solve.parallel import Computation
@@ -226,6 +233,8 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
     from mocapfix.characters.clips import find_trimmed_frames
     from mocapfix.characters.load_character import load_character
 
+    if Path(name_or_path).suffix.lower() in ROBOT_SUFFIXES:
+        return build_robot_format(Path(name_or_path), options)
     files = CharacterFiles(load_character(name_or_path, options.character_map, options.rest_frame), options)
 
     def write_file(target: Path, content: OutputContent) -> list[str]:
@@ -245,6 +254,25 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
     sheet_suffixes = [f"{files.character.name}.{SHEET_SUFFIX}"] if is_sheet_written else []
     first, *others = files.suffixes
     return OutputFormat(first, write_file, (*others, *sheet_suffixes), needs_body=True)
+
+
+def build_robot_format(path: Path, options: OutputOptions) -> OutputFormat:
+    """Return the format of the files of a robot. Raises ReadError or SceneError if it cannot be used."""
+    from mocapfix.characters.clips import find_trimmed_frames  # few cleanings need it
+    from mocapfix.robots.robot_files import load_robot_files
+
+    for option in (OPTION_BY_NAME[name] for name in ("rest_frame", "root_motion", "loop")):
+        if getattr(options, option.name) != option.default:
+            raise OptionError(option.name, option.flag, option.job_key, f"is not for robots; {path.name} is one")
+    files = load_robot_files(path, options)
+
+    def write_file(target: Path, content: OutputContent) -> list[str]:
+        frames = find_trimmed_frames(options.trim, content.input_take, content.motion.rate)
+        return files.write(target, *content.motion.parts, content.exported_contacts, frames)
+
+    first, *others = files.suffixes
+    usage_note = "is the motion of the robot: metres, radians, Z up."
+    return OutputFormat(first, write_file, tuple(others), needs_body=True, usage_note=usage_note)
 
 
 def _write_sheet(target: Path, content: OutputContent) -> None:
@@ -394,9 +422,15 @@ def _read_output_formats(options: OutputOptions, _versions: tuple[FileVersion | 
         if getattr(options, option.name) != option.default:
             problem = "is for the motion of a character; name a character too"
             raise OptionError(option.name, option.flag, option.job_key, problem)
+    is_robot = [Path(each).suffix.lower() in ROBOT_SUFFIXES for each in options.characters]
+    if (named := [name for name in options.extra_formats if name in ROBOT_FORMAT_NAMES]) and not any(is_robot):
+        option = OPTION_BY_NAME["extra_formats"]
+        raise OptionError(
+            option.name, option.flag, option.job_key, f"{named[0]} is the motion of a robot; name it as --character"
+        )
     characters = [build_character_format(each, options) for each in dict.fromkeys(options.characters)]
     rigs = [build_rig_format(name) for name in dict.fromkeys(options.rigs)]
-    extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats)]
+    extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats) if name not in ROBOT_FORMAT_NAMES]
     formats = (BVH_FORMAT, *rigs, *extra, *characters, *DEFAULT_FORMATS)
     suffixes = [suffix for each in formats for suffix in each.all_suffixes]
     if repeated := [suffix for suffix in suffixes if suffixes.count(suffix) > 1]:

@@ -5,4 +5,5 @@
 - `robot_map`: which links form the body, found by structure or read from YAML
 - `robot_targets`: what the robot keeps of the performer
 - `retarget_robot`: the joint angles of a whole take
+- `robot_files`: what is written
 """

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from mocapfix.errors import ReadError, SceneError, format_name_list
 from mocapfix.robots.robot import CollisionPrimitives, Robot
 
-ROBOT_SUFFIXES = (".xml", ".mjcf", ".urdf")
 FREE, BALL, SLIDE, HINGE = 0, 1, 2, 3  # MuJoCo's types of joints
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = 2, 3, 4, 5, 6, 7  # and of shapes
 JOINT_EQUALITY = 2
@@ -24,11 +23,6 @@ MAX_JOINTS_APART = 2  # links at most so many joints apart may touch: their shap
 CYLINDER_ROUNDING = 0.5  # how much of its radius the half-length of a cylinder loses as a capsule
 MESH_RADIUS_PERCENTILE = 75.0  # of the distances of a mesh's corners from its axis: the radius of its capsule
 SMALLEST_MASS = 1e-6  # kg and kg m^2, of links whose mass is that of a missing mesh
-
-
-def is_robot(path: Path) -> bool:
-    """Return whether a file is MJCF or URDF, by its extension."""
-    return path.suffix.lower() in ROBOT_SUFFIXES
 
 
 def load_robot(path: str | Path) -> Robot:

@@ -2,9 +2,9 @@
 
     targets    = compute_robot_targets(...)    what is kept of the performer
     posture    = find_posture(...)             joint positions of an easy posture, where nothing else decides
-    trajectory = solve_stage(...)              a search without places to stand, on every n-th frame
+    trajectory = solve_windows(...)              a search without places to stand, on every n-th frame
     targets    = stand_feet(...)               where feet stand
-    trajectory = solve_stage(...)              all terms; first on every n-th frame, then on all
+    trajectory = solve_windows(...)              all terms; first on every n-th frame, then on all
 
 No frame starts from another one: the search starts in the same posture everywhere and the spline couples the frames, so the
 result does not depend on how a take begins. Joint positions are within their limits, since control points are.
@@ -33,7 +33,6 @@ from mocapfix.solve.trajectory import INITIAL_DAMPING, ControlCosts, Trajectory,
 
 CONTROL_RATE = 30.0  # control points per second, at least
 WINDOW_S, OVERLAP_S = 20.0, 1.0  # longest part of a take that is solved at once, and the time that two parts share
-DEFAULT_SPEED_LIMIT = 12.0  # radians or metres per second, of joints whose file states none
 SPEED_SHARE, SPEED_SD = 0.97, 0.05  # share of the limit from which a speed counts as too high, and its standard deviation
 LIMIT_SD_RAD, LIMIT_SEARCH_SD_RAD = 0.004, 0.03  # of an excess over a joint's limits, at the end and in the search
 POSTURE_SD_RAD, POSTURE_SEARCH_SD_RAD = 2.0, 0.7  # of joint positions about the easy posture, likewise
@@ -69,11 +68,35 @@ class RobotMotion:
 
     robot: Robot
     rate: float
-    root_position: Float[np.ndarray, "T 3"]  # metres
-    root_rotation: Float[np.ndarray, "T 3 3"]
+    references: Float[np.ndarray, "T 3 3"]  # references, unknowns: as `kernels.hinged_tree` takes them
+    unknowns: Float[np.ndarray, "T D"]
     joint_positions: Float[np.ndarray, "T N"]  # radians, metres of slides
     link_positions: Float[np.ndarray, "T L 3"]  # origins of the links in the world, metres
     link_rotations: Float[np.ndarray, "T L 3 3"]
+
+    @property
+    def root_position(self) -> Float[np.ndarray, "T 3"]:
+        """The origin of the root, metres."""
+        return self.link_positions[:, 0]
+
+    @property
+    def root_rotation(self) -> Float[np.ndarray, "T 3 3"]:
+        return self.link_rotations[:, 0]
+
+    @property
+    def joint_velocities(self) -> Float[np.ndarray, "T N"]:
+        """Central differences, per second; of a single frame 0."""
+        return differentiate(self.joint_positions, self.rate)
+
+    def select_frames(self, frames: slice) -> "RobotMotion":
+        """Return some frames of the motion."""
+        arrays = (self.references, self.unknowns, self.joint_positions, self.link_positions, self.link_rotations)
+        return RobotMotion(self.robot, self.rate, *(each[frames] for each in arrays))
+
+
+def differentiate(values: Float[np.ndarray, "*shape"], rate: float) -> Float[np.ndarray, "*shape"]:
+    """Return central differences along the frames, the first axis, per second; of a single frame 0."""
+    return np.gradient(values, 1.0 / rate, axis=0) if len(values) > 1 else np.zeros_like(values)
 
 
 def retarget_to_robot(
@@ -105,13 +128,12 @@ def build_control_costs(body: RobotBody, posture: Float[np.ndarray, " U"], limit
     """Return the costs of control points; joints that follow others narrow the limits of those."""
     tree, robot = body.tree, body.robot
     limits, speeds = np.tile([-np.inf, np.inf], (len(posture), 1)), np.full(len(posture), np.inf)
-    stated = np.where(np.isfinite(robot.speed_limits), robot.speed_limits, DEFAULT_SPEED_LIMIT)
     for joint, unknown in enumerate(tree.unknowns):
         factor, offset = tree.factors[joint], tree.offsets[joint] + robot.zero_positions[joint]
         if factor != 0.0:
             low, high = np.sort((robot.limits[joint] - offset) / factor)
             limits[unknown] = max(limits[unknown, 0], low), min(limits[unknown, 1], high)
-            speeds[unknown] = min(speeds[unknown], stated[joint] / abs(factor))
+            speeds[unknown] = min(speeds[unknown], body.speed_limits[joint] / abs(factor))
     size = ROOT_UNKNOWNS + len(posture)
     acceleration, jerk = np.full(size, ACCELERATION_SD), np.full(size, JERK_SD)
     acceleration[:3], jerk[:3] = ROOT_ACCELERATION_SD, ROOT_JERK_SD
@@ -211,4 +233,4 @@ def compose_robot_motion(body: RobotBody, found: Trajectory) -> RobotMotion:
     tree, unknowns = body.tree, found.unknowns
     positions, rotations = found.place(tree, np.arange(len(tree.parents)), np.zeros((len(tree.parents), 3)))
     joints = tree.offsets + tree.factors * unknowns[:, ROOT_UNKNOWNS + tree.unknowns] + body.robot.zero_positions
-    return RobotMotion(body.robot, found.basis.rate, unknowns[:, :3], rotations[:, 0], joints, positions, rotations)
+    return RobotMotion(body.robot, found.basis.rate, found.references, unknowns, joints, positions, rotations)

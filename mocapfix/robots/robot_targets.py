@@ -31,6 +31,7 @@ DIRECTION_SD_RAD = 0.015  # of the limbs
 HAND_SD_RAD = 0.1  # of the direction of a hand
 ROTATION_SD_RAD = {"pelvis": 0.05, "trunk": 0.1, "head": 0.1, "foot": 0.12}
 PATH_SD_M = (0.05, 0.05, 0.03)  # of the middle of the hips about its scaled path
+DEFAULT_SPEED_LIMIT = 12.0  # radians or metres per second, of joints whose file states none
 FLOOR_SD_M = 0.001  # of a sole below the floor
 STANDING_SD_M = 0.0003  # of heel and front edge of a sole in contact
 CORNER_SD_M = 0.0015
@@ -112,6 +113,11 @@ class RobotBody:
     map: RobotMap
     tree: HingedTree
     soles: dict[str, Sole]
+
+    @property
+    def speed_limits(self) -> Float[np.ndarray, " N"]:
+        """Largest speeds of the joints, DEFAULT_SPEED_LIMIT where no file states one."""
+        return np.where(np.isfinite(self.robot.speed_limits), self.robot.speed_limits, DEFAULT_SPEED_LIMIT)
 
     @property
     def edge_links(self) -> Int[np.ndarray, " 4"]:
@@ -197,6 +203,19 @@ class RobotTargets:
             collision=collision._replace(weight=COLLISION_SEARCH_SD_M**-2),
         )
         return replace(self, terms=terms)
+
+    def isolate_collisions(self) -> HingedTerms:
+        """Return terms whose cost is half the sum of the squared depths of parts that overlap, in metres."""
+        none, empty = np.zeros((0, 3)), np.zeros((len(self.hips), 0))
+        nowhere = np.zeros((len(self.hips), 0, 3))
+        links = np.zeros(0, int)
+        return HingedTerms(
+            PlaceTerm(links, none, nowhere, nowhere),
+            FloorTerm(links, none, np.zeros(0), 1.0),
+            LineTerm(np.zeros((0, 2), int), np.zeros((0, 2, 3)), nowhere, empty),
+            LinkRotationTerm(links, np.zeros((len(self.hips), 0, 3, 3)), empty),
+            self.terms.collision._replace(distance=0.0, weight=1.0),
+        )
 
     def select_frames(self, frames: slice) -> HingedTerms:
         """Return the terms of some frames."""

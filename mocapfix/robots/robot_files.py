@@ -1,0 +1,220 @@
+"""What is written of a robot: NPZ with names, and on request the CSV of Unitree and the pickle of GMR.
+
+All have metres, radians and Z up, with the floor at height 0. The order of quaternions differs: w x y z in NPZ, as MuJoCo's qpos
+has them, and x y z w in CSV and pickle.
+"""
+
+import json
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
+from mocapfix.characters.character import build_cmu31_character, convert_motion
+from mocapfix.characters.kept_positions import resample_foot_contacts
+from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.errors import WriteError
+from mocapfix.io.files import replace_atomically
+from mocapfix.kernels.hinged_tree import linearise_hinged_frames
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton
+from mocapfix.options import OutputOptions
+from mocapfix.robots.load_robot import load_robot
+from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
+from mocapfix.robots.robot_map import find_robot_map, read_robot_map, write_robot_map
+from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets
+
+AT_LIMIT_RAD = 0.005  # distance from a limit within which a joint counts as at it
+OVERLAP_M = 0.005  # depth from which parts that overlap count as colliding
+EXTRA_SUFFIXES = {"robot-csv": ("csv", "columns.json"), "robot-pkl": ("pkl",)}
+
+
+@dataclass(frozen=True)
+class RobotFiles:
+    """What is written of a robot."""
+
+    body: RobotBody
+    options: OutputOptions
+
+    @property
+    def name(self) -> str:
+        return self.body.robot.name
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """The suffixes of the files, after the stem of the take."""
+        extra = [suffix for name in dict.fromkeys(self.options.extra_formats) for suffix in EXTRA_SUFFIXES.get(name, ())]
+        return tuple(f"{self.name}.{ending}" for ending in ("npz", "map.yaml", *extra))
+
+    def write(
+        self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None, frames: slice
+    ) -> list[str]:
+        """Write the motion of a solved skeleton as the robot's. Returns sentences for the report.
+
+        Raises WriteError if a file is not writable, or if no frame is left.
+        """
+        source = build_body_frame(build_cmu31_character(skeleton))
+        segments = compute_segment_motion(source, convert_motion(motion, rate))
+        feet = None if contacts is None else resample_foot_contacts(contacts, motion.frame_count, rate)
+        moved = retarget_to_robot(self.body, source, segments, feet, rate)
+        targets = compute_robot_targets(self.body, source, segments, feet, rate)
+        figures = measure_robot_motion(self.body, targets, moved)
+        moved = moved.select_frames(frames)
+        if not len(moved.root_position):
+            raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
+        arrays = build_robot_arrays(moved)
+        if feet is not None:
+            arrays |= {"contact_joints": np.array(feet.joints), "contacts": feet.is_contact[frames]}
+        with replace_atomically(target) as part, part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+        write_robot_map(target.with_suffix(".map.yaml"), self.body.robot, self.body.map)
+        if "robot-csv" in self.options.extra_formats:
+            write_robot_csv(target.with_suffix(".csv"), moved)
+        if "robot-pkl" in self.options.extra_formats:
+            write_robot_pickle(target.with_suffix(".pkl"), moved)
+        scale = self.body.leg_length_m / source.leg_length_m
+        origin = " ".join([self.body.map.reason, *self.body.robot.notes, f"Places are scaled by {scale:.3f}, as the legs are."])
+        return [f"{target.name}: {each}" for each in (origin, figures.describe())]
+
+
+def load_robot_files(path: Path, options: OutputOptions) -> RobotFiles:
+    """Return the files of a robot. Raises ReadError or SceneError if it, or the file of its body, cannot be used."""
+    robot = load_robot(path)
+    robot_map = read_robot_map(Path(options.character_map), robot) if options.character_map else find_robot_map(robot)
+    return RobotFiles(build_robot_body(robot, robot_map), options)
+
+
+class RobotFigures(NamedTuple):
+    """How well a robot's motion follows the performer, and what it touches."""
+
+    limb_deg: tuple[float, float]  # angle between limbs and the performer's: mean, and 95th percentile
+    at_limit_share: float  # of the frames in which a joint is at one of its limits
+    speed_ratio: float  # largest speed of a joint over its limit
+    fastest_joint: str
+    overlap_share: float  # of the frames in which parts overlap by more than OVERLAP_M
+    overlap_m: float  # the deepest
+
+    def describe(self) -> str:
+        """Return sentences."""
+        mean, high = self.limb_deg
+        overlap = f"parts overlap in {self.overlap_share:.1%} of the frames, by {self.overlap_m * 1e3:.0f} mm at most"
+        return (
+            f"Limbs point as the performer's within {mean:.1f} degrees in the mean, 95 % within {high:.1f}; "
+            f"{overlap if self.overlap_share else 'no parts overlap'}. A joint is at a limit in {self.at_limit_share:.0%} of the "
+            f"frames; the fastest, {self.fastest_joint}, reaches {self.speed_ratio:.0%} of its limit of speed."
+        )
+
+
+def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMotion) -> RobotFigures:
+    """Return the figures of a motion."""
+    line, count = targets.terms.line, len(body.map.limbs)
+    ends = [
+        motion.link_positions[:, line.links[:count, k]]
+        + np.einsum("tlij,lj->tli", motion.link_rotations[:, line.links[:count, k]], line.offsets[:count, k])
+        for k in (0, 1)
+    ]
+    vectors = ends[1] - ends[0]
+    cosines = (vectors * line.directions[:, :count]).sum(axis=2) / np.linalg.norm(vectors, axis=2)
+    angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+    gaps = np.minimum(motion.joint_positions - body.robot.limits[:, 0], body.robot.limits[:, 1] - motion.joint_positions)
+    ratio = np.abs(motion.joint_velocities).max(axis=0) / body.speed_limits
+    fastest = int(np.argmax(ratio))
+    depths = _measure_overlaps(body, targets, motion)
+    return RobotFigures(
+        (float(angles.mean()), float(np.percentile(angles, 95))),
+        float((gaps < AT_LIMIT_RAD).any(axis=1).mean()),
+        float(ratio[fastest]),
+        body.robot.joint_names[fastest],
+        float((depths > OVERLAP_M).mean()),
+        float(depths.max()),
+    )
+
+
+def _measure_overlaps(body: RobotBody, targets: RobotTargets, motion: RobotMotion) -> Float[np.ndarray, " T"]:
+    """Return how deep parts overlap in each frame, in metres: the root of the sum of the squares."""
+    terms, size = targets.isolate_collisions(), motion.unknowns.shape[1]
+    curvature, gradient = np.empty((1, size, size)), np.empty((1, size))
+    costs = [
+        linearise_hinged_frames(
+            body.tree, terms, np.array([frame]), motion.references, motion.unknowns, False, curvature, gradient
+        )
+        for frame in range(len(motion.unknowns))
+    ]
+    return np.sqrt(2.0 * np.array(costs))
+
+
+def build_robot_arrays(motion: RobotMotion) -> dict[str, np.ndarray]:
+    """Return the arrays of the NPZ.
+
+    The keys of BeyondMimic have its conventions: velocities of links are those of their centres of mass, in the world.
+    """
+    robot, rate = motion.robot, motion.rate
+    quaternions = _compute_quaternions(motion.link_rotations)
+    centres = motion.link_positions + np.einsum("tlij,lj->tli", motion.link_rotations, robot.mass_centres)
+    qpos = np.concatenate([motion.root_position, quaternions[:, 0], motion.joint_positions], axis=1)
+    return {
+        "fps": np.array(rate),
+        "root_pos": motion.root_position,
+        "root_quat": quaternions[:, 0],
+        "joint_pos": motion.joint_positions,
+        "joint_vel": motion.joint_velocities,
+        "joint_names": np.array(robot.joint_names),
+        "qpos": qpos,
+        "body_names": np.array(robot.link_names),
+        "body_pos_w": motion.link_positions,
+        "body_quat_w": quaternions,
+        "body_lin_vel_w": differentiate(centres, rate),
+        "body_ang_vel_w": _compute_angular_velocities(motion.link_rotations, rate),
+        "units": np.array("metres, radians, seconds; Z up, floor at 0; quaternions w x y z; velocities in the world"),
+    }
+
+
+def _compute_quaternions(rotations: Float[np.ndarray, "T L 3 3"]) -> Float[np.ndarray, "T L 4"]:
+    """Return w x y z without jumps of the sign over time."""
+    frames, links = rotations.shape[:2]
+    found = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(frames, links, 4)[..., [3, 0, 1, 2]]
+    turned = (found[1:] * found[:-1]).sum(axis=2) < 0
+    signs = np.concatenate([np.where(found[:1, :, 0] < 0, -1, 1), np.where(turned, -1, 1)])
+    return found * np.cumprod(signs, axis=0)[..., None]
+
+
+def _compute_angular_velocities(rotations: Float[np.ndarray, "T L 3 3"], rate: float) -> Float[np.ndarray, "T L 3"]:
+    """Return the rotation over two frames by their time, in the world; the ends have the values beside them."""
+    frames, links = rotations.shape[:2]
+    velocities = np.zeros((frames, links, 3))
+    if frames > 2:
+        turns = rotations[2:] @ np.swapaxes(rotations[:-2], 2, 3)
+        vectors = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(frames - 2, links, 3)
+        velocities[1:-1] = vectors * (0.5 * rate)
+        velocities[[0, -1]] = velocities[[1, -2]]
+    return velocities
+
+
+def write_robot_csv(target: Path, motion: RobotMotion) -> None:
+    """Write the layout of Unitree: no header, x y z, quaternion x y z w, joints. Names and rate are in a JSON beside it."""
+    quaternions = _compute_quaternions(motion.root_rotation[:, None])[:, 0, [1, 2, 3, 0]]
+    with replace_atomically(target) as part:
+        np.savetxt(part, np.hstack([motion.root_position, quaternions, motion.joint_positions]), "%.6f", ",")
+    columns = [*(f"root_{axis}" for axis in "xyz"), *(f"root_q{axis}" for axis in "xyzw"), *motion.robot.joint_names]
+    with replace_atomically(target.with_suffix(".columns.json")) as part:
+        part.write_text(json.dumps({"fps": motion.rate, "columns": columns}, indent=1) + "\n", encoding="utf-8")
+
+
+def write_robot_pickle(target: Path, motion: RobotMotion) -> None:
+    """Write the dictionary of GMR: quaternions x y z w."""
+    content = {
+        "fps": motion.rate,
+        "root_pos": motion.root_position,
+        "root_rot": _compute_quaternions(motion.root_rotation[:, None])[:, 0, [1, 2, 3, 0]],
+        "dof_pos": motion.joint_positions,
+        "local_body_pos": None,
+        "link_body_list": list(motion.robot.link_names),
+        "joint_names": list(motion.robot.joint_names),
+    }
+    with replace_atomically(target) as part:
+        part.write_bytes(pickle.dumps(content))
