@@ -80,7 +80,8 @@ def test_repairable_kinds_are_those_of_faults():
         ({"repair_kinds": ("gap", "flaw")}, "repair_kinds must be one of gap, spike, "),
         (
             {"extra_formats": ("avi",)},
-            "extra_formats must be one of gltf, amc, npz, amass, c3d, trc, csv, contacts, events, fbx, usd, sheet, not 'avi'.",
+            "extra_formats must be one of gltf, amc, npz, amass, c3d, trc, csv, contacts, events, fbx, usd, sheet, robot-npz, "
+            "robot-csv, robot-pkl, not 'avi'.",
         ),
         ({"trim": "5"}, "trim must be FIRST:LAST, as in 100:250, not '5'."),
         ({"trim": (5,)}, "trim must be FIRST:LAST, as in 100:250, not (5,)."),

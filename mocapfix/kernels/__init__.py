@@ -5,6 +5,7 @@
 - `terms`: the residual terms
 - `normal_equations`: one frame's quadratic model; sweep, its step
 - `levenberg_marquardt`: the solve of a frame, and of many
+- `hinged_tree`: the model of frames of robots
 - `covariance`: pose uncertainty; schur, unknowns that all frames share
 - `hybrik`, `joint_registration`, `rigid_registration`, `pose_transfer`, `belief_propagation`: first poses
 - `label_evidence`, `point_linking`, `function_screening`, `viterbi`: labels and points

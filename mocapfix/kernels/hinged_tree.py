@@ -210,7 +210,7 @@ def write_velocities(tree, pose, link, x, y, z, columns):
 
 
 @compile_inner_kernel(fastmath=MODEL_FASTMATH_FLAGS)
-def add_rows(columns, first, count, weights, errors, curvature, gradient):
+def add_point_rows(columns, first, count, weights, errors, curvature, gradient):
     """Add three rows with `weights` and `errors` (three numbers each) over the columns first..count - 1 to a frame's model.
 
     Only the lower triangle of the curvature (D, D) is written.
@@ -241,7 +241,7 @@ def add_place_term(tree, pose, term, t, with_model, columns, curvature, gradient
         cost += 0.5 * (weights[0] * errors[0] ** 2 + weights[1] * errors[1] ** 2 + weights[2] * errors[2] ** 2)
         if with_model:
             count = write_velocities(tree, pose, term.links[k], x, y, z, columns)
-            add_rows(columns, 0, count, weights, errors, curvature, gradient)
+            add_point_rows(columns, 0, count, weights, errors, curvature, gradient)
     return cost
 
 
@@ -256,7 +256,7 @@ def add_floor_term(tree, pose, term, with_model, columns, curvature, gradient):
             cost += 0.5 * term.weight * error * error
             if with_model:
                 count = write_velocities(tree, pose, term.links[k], x, y, z, columns)
-                add_rows(columns, 0, count, (0.0, 0.0, term.weight), (0.0, 0.0, error), curvature, gradient)
+                add_point_rows(columns, 0, count, (0.0, 0.0, term.weight), (0.0, 0.0, error), curvature, gradient)
     return cost
 
 
@@ -287,7 +287,7 @@ def add_line_term(tree, pose, term, t, with_model, columns, other, curvature, gr
                 velocities[i, 0] = (velocities[i, 0] - along * dx) / length
                 velocities[i, 1] = (velocities[i, 1] - along * dy) / length
                 velocities[i, 2] = (velocities[i, 2] - along * dz) / length
-            add_rows(columns, 3, count, (weight, weight, weight), errors, curvature, gradient)
+            add_point_rows(columns, 3, count, (weight, weight, weight), errors, curvature, gradient)
     return cost
 
 
@@ -315,7 +315,7 @@ def add_link_rotation_term(tree, pose, term, t, with_model, columns, curvature, 
                     for c in range(3):
                         velocities[count, c] = tree.factors[j] * pose.axes[j, c]
                     count += 1
-            add_rows(columns, 0, count, (weight, weight, weight), (x, y, z), curvature, gradient)
+            add_point_rows(columns, 0, count, (weight, weight, weight), (x, y, z), curvature, gradient)
     return cost
 
 
@@ -402,7 +402,7 @@ def add_contact(tree, pose, links, points, normal, weight, error, columns, other
             columns.velocities[count, 0], columns.velocities[count, 1], columns.velocities[count, 2] = dense[i], 0.0, 0.0
             dense[i] = 0.0
             count += 1
-    add_rows(columns, 0, count, (weight, 0.0, 0.0), (error, 0.0, 0.0), curvature, gradient)
+    add_point_rows(columns, 0, count, (weight, 0.0, 0.0), (error, 0.0, 0.0), curvature, gradient)
 
 
 @compile_inner_kernel

@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
 from mocapfix.contacts.contacts import BodyContacts
-from mocapfix.kernels.hinged_tree import ROOT_UNKNOWNS, HingedTerms
 from mocapfix.robots.robot import Robot
 from mocapfix.robots.robot_targets import (
     RobotBody,
@@ -29,7 +28,16 @@ from mocapfix.robots.robot_targets import (
     list_leaders,
     stand_feet,
 )
-from mocapfix.solve.trajectory import INITIAL_DAMPING, ControlCosts, Trajectory, build_spline_basis, minimise_trajectory
+from mocapfix.solve.trajectory import (
+    FAR_START_DAMPING,
+    ROOT_UNKNOWNS,
+    ControlCosts,
+    HingedTerms,
+    Trajectory,
+    build_spline_basis,
+    minimise_trajectory,
+    place_points,
+)
 
 CONTROL_RATE = 30.0  # control points per second, at least
 WINDOW_S, OVERLAP_S = 20.0, 1.0  # longest part of a take that is solved at once, and the time that two parts share
@@ -109,9 +117,9 @@ def retarget_to_robot(
     step = start.basis.interval
     search = build_control_costs(body, posture, LIMIT_SEARCH_SD_RAD, POSTURE_SEARCH_SD_RAD)
     found = solve_windows(
-        body, targets.loosen(), search, start, [SolveStage(step, SEARCH_ITERATIONS, SEARCH_DECREASE, INITIAL_DAMPING)]
+        body, targets.loosen(), search, start, [SolveStage(step, SEARCH_ITERATIONS, SEARCH_DECREASE, FAR_START_DAMPING)]
     )
-    edges, _ = found.place(body.tree, body.edge_links, body.edge_offsets)
+    edges, _ = place_points(body.tree, found.references, found.unknowns, body.edge_links, body.edge_offsets)
     standing = stand_feet(body, targets, edges)
     costs = build_control_costs(body, posture, LIMIT_SD_RAD, POSTURE_SD_RAD)
     stages = [
@@ -231,6 +239,7 @@ def solve_windows(
 def compose_robot_motion(body: RobotBody, found: Trajectory) -> RobotMotion:
     """Return the motion of a trajectory."""
     tree, unknowns = body.tree, found.unknowns
-    positions, rotations = found.place(tree, np.arange(len(tree.parents)), np.zeros((len(tree.parents), 3)))
+    links = np.arange(len(tree.parents))
+    positions, rotations = place_points(tree, found.references, unknowns, links, np.zeros((len(links), 3)))
     joints = tree.offsets + tree.factors * unknowns[:, ROOT_UNKNOWNS + tree.unknowns] + body.robot.zero_positions
     return RobotMotion(body.robot, found.basis.rate, found.references, unknowns, joints, positions, rotations)

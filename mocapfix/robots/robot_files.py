@@ -20,7 +20,6 @@ from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
 from mocapfix.io.files import replace_atomically
-from mocapfix.kernels.hinged_tree import linearise_hinged_frames
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.options import OutputOptions
@@ -28,6 +27,7 @@ from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
 from mocapfix.robots.robot_map import find_robot_map, read_robot_map, write_robot_map
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets
+from mocapfix.solve.trajectory import compute_hinged_costs
 
 AT_LIMIT_RAD = 0.005  # distance from a limit within which a joint counts as at it
 OVERLAP_M = 0.005  # depth from which parts that overlap count as colliding
@@ -124,7 +124,8 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
     gaps = np.minimum(motion.joint_positions - body.robot.limits[:, 0], body.robot.limits[:, 1] - motion.joint_positions)
     ratio = np.abs(motion.joint_velocities).max(axis=0) / body.speed_limits
     fastest = int(np.argmax(ratio))
-    depths = _measure_overlaps(body, targets, motion)
+    costs = compute_hinged_costs(body.tree, targets.isolate_collisions(), motion.references, motion.unknowns)
+    depths = np.sqrt(2.0 * costs)  # the root of the sum of their squares
     return RobotFigures(
         (float(angles.mean()), float(np.percentile(angles, 95))),
         float((gaps < AT_LIMIT_RAD).any(axis=1).mean()),
@@ -133,19 +134,6 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
         float((depths > OVERLAP_M).mean()),
         float(depths.max()),
     )
-
-
-def _measure_overlaps(body: RobotBody, targets: RobotTargets, motion: RobotMotion) -> Float[np.ndarray, " T"]:
-    """Return how deep parts overlap in each frame, in metres: the root of the sum of the squares."""
-    terms, size = targets.isolate_collisions(), motion.unknowns.shape[1]
-    curvature, gradient = np.empty((1, size, size)), np.empty((1, size))
-    costs = [
-        linearise_hinged_frames(
-            body.tree, terms, np.array([frame]), motion.references, motion.unknowns, False, curvature, gradient
-        )
-        for frame in range(len(motion.unknowns))
-    ]
-    return np.sqrt(2.0 * np.array(costs))
 
 
 def build_robot_arrays(motion: RobotMotion) -> dict[str, np.ndarray]:

@@ -24,9 +24,9 @@ from pydantic import Field
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
-from mocapfix.kernels.hinged_tree import HingedTree
 from mocapfix.robots.robot import LIMBS, SIDES, LinkPoint, Robot, RobotMap
 from mocapfix.robots.robot_targets import build_hinged_tree, pose_links
+from mocapfix.solve.trajectory import HingedTree
 
 MIN_SIDE_M = 0.02  # distance from the middle from which the end of a limb is on a side
 MIN_LATERAL_COSINE = 0.8  # between the axis of a knee and the lateral axis

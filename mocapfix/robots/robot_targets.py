@@ -12,7 +12,8 @@ from jaxtyping import Float, Int
 from mocapfix.characters.body_frames import LIMB_AXES, BodyFrame, SegmentMotion
 from mocapfix.characters.kept_positions import level_feet, measure_flat_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, NO_FLOOR, BodyContacts
-from mocapfix.kernels.hinged_tree import (
+from mocapfix.robots.robot import SIDES, LinkPoint, Robot, RobotMap
+from mocapfix.solve.trajectory import (
     ROOT_UNKNOWNS,
     CollisionTerm,
     FloorTerm,
@@ -21,9 +22,8 @@ from mocapfix.kernels.hinged_tree import (
     LineTerm,
     LinkRotationTerm,
     PlaceTerm,
-    place_points_of_frames,
+    place_points,
 )
-from mocapfix.robots.robot import SIDES, LinkPoint, Robot, RobotMap
 from mocapfix.stats.sequences import find_runs
 
 ROBOT_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # from axes with Y up that face Z
@@ -73,9 +73,8 @@ def pose_links(
     tree: HingedTree, joints: Float[np.ndarray, " U"], links: Int[np.ndarray, " P"], offsets: Float[np.ndarray, "P 3"]
 ) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, "P 3 3"]]:
     """Return where points are, and the rotations of their links, with the root at the origin and unturned."""
-    places, rotations = np.empty((1, len(links), 3)), np.empty((1, len(links), 3, 3))
     unknowns = np.concatenate([np.zeros(ROOT_UNKNOWNS), joints])[None]
-    place_points_of_frames(tree, np.eye(3)[None], unknowns, links, np.ascontiguousarray(offsets), places, rotations)
+    places, rotations = place_points(tree, np.eye(3)[None], unknowns, links, offsets)
     return places[0], rotations[0]
 
 
@@ -249,7 +248,7 @@ def compute_robot_targets(
     path[:, 2] += body.ankle_height_m
     balls = {side: motion.carry(f"{side}_foot", source.compute_ball(side)) for side in SIDES}
     levels = [floor.remove_slope(ball) - floor.height_m - floor.compute_height_above(ball) for ball in balls.values()]
-    told = {
+    runs = {
         (side, end): find_runs(contacts.is_contact[:, contacts.joints.index(joint)]) if contacts is not None else []
         for side, joints in FOOT_JOINTS.items()
         for end, joint in enumerate(joints)
@@ -262,7 +261,7 @@ def compute_robot_targets(
         _build_rotation_term(body, motion, count),
         _build_collision_term(body.robot),
     )
-    return RobotTargets(terms, rate, path, pelvis, told, scale * np.stack(levels, axis=1))
+    return RobotTargets(terms, rate, path, pelvis, runs, scale * np.stack(levels, axis=1))
 
 
 def _convert_rotations(rotation: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 3 3"]:

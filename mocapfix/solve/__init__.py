@@ -9,5 +9,6 @@
 - `occluded_joints`: joints without markers; person_memory, lost_in_sight, measured_segments
 - `pose_prior`: trained_priors, prior_conditioner; mean_pose; motion_prior
 - `single_pose`: a pose under given constraints
+- `trajectory`: the poses of all frames at once, of robots
 - `kinematics`: positions of joints and markers; parallel
 """

@@ -13,16 +13,21 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import solveh_banded
 
+from mocapfix.kernels.hinged_tree import ROOT_UNKNOWNS as ROOT_UNKNOWNS
+from mocapfix.kernels.hinged_tree import CollisionTerm as CollisionTerm
+from mocapfix.kernels.hinged_tree import FloorTerm as FloorTerm
 from mocapfix.kernels.hinged_tree import (
-    ROOT_UNKNOWNS,
     HingedTerms,
     HingedTree,
     add_models_to_spline,
     linearise_hinged_frames,
     place_points_of_frames,
 )
+from mocapfix.kernels.hinged_tree import LineTerm as LineTerm
+from mocapfix.kernels.hinged_tree import LinkRotationTerm as LinkRotationTerm
+from mocapfix.kernels.hinged_tree import PlaceTerm as PlaceTerm
 
-INITIAL_DAMPING = 0.1  # of the diagonal of the curvature, for a far start
+FAR_START_DAMPING = 0.1  # of the diagonal of the curvature, for a far start
 MIN_CURVATURE = 1e-6  # of a control point that nothing determines
 SECOND_DIFFERENCE, THIRD_DIFFERENCE = (1.0, -2.0, 1.0), (-1.0, 3.0, -3.0, 1.0)
 
@@ -153,14 +158,31 @@ class Trajectory:
         basis = build_spline_basis(frames.stop - frames.start, self.basis.rate, interval)
         return Trajectory(basis, self.references[frames], self.points[first:stop])
 
-    def place(
-        self, tree: HingedTree, links: Int[np.ndarray, " P"], offsets: Float[np.ndarray, "P 3"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T P 3 3"]]:
-        """Return where points of links are, in metres, and the rotations of these links."""
-        unknowns = self.unknowns
-        places, rotations = np.empty((len(unknowns), len(links), 3)), np.empty((len(unknowns), len(links), 3, 3))
-        place_points_of_frames(tree, self.references, unknowns, links, offsets, places, rotations)
-        return places, rotations
+
+def place_points(
+    tree: HingedTree,
+    references: Float[np.ndarray, "T 3 3"],
+    unknowns: Float[np.ndarray, "T D"],
+    links: Int[np.ndarray, " P"],
+    offsets: Float[np.ndarray, "P 3"],
+) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T P 3 3"]]:
+    """Return where points of links are, in metres, and the rotations of these links."""
+    places, rotations = np.empty((len(unknowns), len(links), 3)), np.empty((len(unknowns), len(links), 3, 3))
+    place_points_of_frames(tree, references, unknowns, links, np.ascontiguousarray(offsets), places, rotations)
+    return places, rotations
+
+
+def compute_hinged_costs(
+    tree: HingedTree, terms: HingedTerms, references: Float[np.ndarray, "T 3 3"], unknowns: Float[np.ndarray, "T D"]
+) -> Float[np.ndarray, " T"]:
+    """Return the cost of each frame under terms."""
+    curvature, gradient = np.empty((1, *unknowns.shape[1:], *unknowns.shape[1:])), np.empty((1, unknowns.shape[1]))
+    return np.array(
+        [
+            linearise_hinged_frames(tree, terms, np.array([frame]), references, unknowns, False, curvature, gradient)
+            for frame in range(len(unknowns))
+        ]
+    )
 
 
 def minimise_trajectory(
@@ -172,7 +194,7 @@ def minimise_trajectory(
     frame_step: int = 1,
     max_iterations: int,
     min_decrease: float,
-    damping: float = INITIAL_DAMPING,
+    damping: float = FAR_START_DAMPING,
 ) -> tuple[Trajectory, float]:
     """Return the trajectory of least cost, and this cost.
 
