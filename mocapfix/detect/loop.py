@@ -249,7 +249,8 @@ def detect_on_hands(
     detected: Detected, body: BodyFit, marker_set: MarkerSet, review: FaultReview, options: DetectOptions
 ) -> Detected:
     """Correct the labels of finger markers. Returns `detected` itself where they are right, or there are none."""
-    swaps = review.select(find_finger_faults(detected.take, body.subject, body.motion))
+    is_judged = not marker_set.point_sd  # neighbouring fingers are as near as the noise of keypoints
+    swaps = review.select(find_finger_faults(detected.take, body.subject, body.motion)) if is_judged else []
     if not swaps:
         return detected
     take, changed = undo_label_exchanges(detected.take, swaps), {marker for fault in swaps for marker in fault.markers}

@@ -24,6 +24,7 @@ from mocapfix.solve.terms import (
 
 MARKER_SD_M = 0.004  # per axis, of a finger marker about its place in one frame: skin, and joints that are no hinges
 PALM_MARKER_SD_M = 0.005  # the same of a marker on the back of the hand
+PALM_LEVER_M = 0.1  # a palm that is uncertain by this much is uncertain by a radian
 ROBUST_SCALES_M = (0.1, 0.03)  # distances of a marker beyond which it is an outlier, at the start and at the end
 POSE_ITERATIONS = 20  # of a frame at each robust scale
 HAND_DAMPING_RATIO = 1e-6

@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Int
 
 from mocapfix.errors import SceneError
-from mocapfix.hands.hand_model import MIRROR, Side, load_hand
+from mocapfix.hands.hand_model import MIRROR, RAY_ROOTS, Side, load_hand
 from mocapfix.io.shipped import find_shipped_folder, read_yaml
 from mocapfix.model.marker_set import MarkerSet
 
 SIDES: tuple[Side, Side] = ("Left", "Right")
+MAX_CENTRE_DISTANCE_M = 0.008  # of a point that is at the centre of a joint; no marker on the skin is as near
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,13 @@ class FingerMarkers:
     side: Side
     markers: MarkerSet
     columns: Int[np.ndarray, " N"]
+
+    @property
+    def turning_joints(self) -> Int[np.ndarray, " N"]:
+        """The joint whose rotation moves each marker, 0 for the palm: the joint before a point at the centre of a joint."""
+        joints, before = self.markers.joints, load_hand(self.side).skeleton.parents[self.markers.joints]
+        is_centre = (joints > 0) & (np.linalg.norm(self.markers.marker_offsets, axis=1) < MAX_CENTRE_DISTANCE_M)
+        return np.where(is_centre, np.where(np.isin(before, RAY_ROOTS), 0, before), joints)
 
 
 @dataclass(frozen=True)
@@ -56,23 +64,30 @@ def read_finger_scheme(path: Path) -> FingerScheme:
     data = read_yaml(path)
     try:
         name, title, entries = str(data["name"]), str(data["title"]), data["markers"]
-        if wrong := [label for label in entries if not label.startswith("L")]:
-            raise ValueError(f"{wrong[0]} must begin with L: markers of left hands are listed")
-        places = list(entries.values())
-        spread, aliases = np.array([float(each["spread"]) for each in places]), ((),) * len(places)
+        if wrong := [label for label in entries if not label.startswith(("L", "left_"))]:
+            raise ValueError(f"{wrong[0]} must begin with L or left_: markers of left hands are listed")
+        places, point_sd = list(entries.values()), float(data.get("point_sd", 0.0))
+        spread = np.array([float(each["spread"]) for each in places])
         hands: list[MarkerSet] = []
         for side in SIDES:
             joints = np.array([load_hand(side).skeleton.find_joint(f"{side}Hand{each['joint']}") for each in places])
             offsets = np.array([each["offset"] for each in places], float) * (1.0 if side == "Left" else MIRROR)
-            labels = tuple(side[0] + label[1:] for label in entries)
-            hands.append(MarkerSet(name, title, f"{side.lower()} hand", labels, joints, offsets, spread, aliases))
+            labels = tuple(_rename(label, side) for label in entries)
+            aliases = tuple(tuple(_rename(alias, side) for alias in each.get("aliases", ())) for each in places)
+            of_hand = f"{side.lower()} hand", labels, joints, offsets, spread, aliases
+            hands.append(MarkerSet(name, title, *of_hand, point_sd=point_sd))
         return FingerScheme(name, title, tuple(data["marker_sets"]), (hands[0], hands[1]))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise SceneError(f"{path}: must hold name, title, marker_sets and markers ({error}).") from error
 
 
+def _rename(label: str, side: Side) -> str:
+    """Return a label of a left hand for the hand of a side."""
+    return side.lower() + label.removeprefix("left") if label.startswith("left") else side[0] + label[1:]
+
+
 def find_finger_markers(marker_set_name: str, labels: tuple[str, ...]) -> tuple[FingerMarkers, ...]:
-    """Return the finger markers of a take whose body has a marker set, for each hand that has any.
+    """Return the finger markers of a take whose body has a marker set, for each hand that shows any finger beyond its knuckle.
 
     Args:
         marker_set_name: Of the body.
@@ -81,7 +96,7 @@ def find_finger_markers(marker_set_name: str, labels: tuple[str, ...]) -> tuple[
     for scheme in load_finger_schemes():
         if marker_set_name in scheme.marker_sets:
             found = [FingerMarkers(side, hand, hand.find_columns(labels)) for side, hand in zip(SIDES, scheme.hands, strict=True)]
-            return tuple(select_shown(each) for each in found if (each.columns >= 0).any())
+            return tuple(select_shown(each) for each in found if ((each.columns >= 0) & (each.turning_joints > 0)).any())
     return ()
 
 

@@ -4,9 +4,10 @@ The body carries the palm. Each hand is a skeleton of its own (`hand_model`) who
 body's hand is uncertain, so that nothing of the body changes. A frame has the terms of the body's solver: the markers of fingers
 and of the back of the hand, the palm, limits, and a Gaussian on poses of the hand.
 
-`solve_hand` solves the frames as `solve.window_solver` does: each by itself; across gaps of a finger with its smooth trajectory
-too, whose variance grows with the distance from the gap's edges, so that in a long gap the synergies and the other fingers
-decide; and all again about the smooth trajectories of the joints.
+`solve_hand` solves the frames as `solve.window_solver` does: each by itself, from its pose in closed form; across gaps of a
+finger with its smooth trajectory too, whose variance grows with the distance from the gap's edges, so that in a long gap the
+synergies and the other fingers decide; and all again about the smooth trajectories of the joints, which of keypoints are the
+motion.
 
 `attach_hands` makes one tree of the body and its hands, for files of motion. Fingers have the names of VRM and Unity, so that the
 body's LeftHandIndex1, which does not move with the finger, keeps its own.
@@ -21,6 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.hands.calibrated_hand import (
     MARKER_SD_M,
+    PALM_LEVER_M,
     POSE_ITERATIONS,
     ROBUST_SCALES_M,
     CalibratedHand,
@@ -29,6 +31,7 @@ from mocapfix.hands.calibrated_hand import (
     minimise_hand_poses,
 )
 from mocapfix.hands.calibration import calibrate_hand
+from mocapfix.hands.closed_form import pose_in_closed_form
 from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers
 from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, TIP_JOINTS, Side, load_hand
 from mocapfix.io.resampling import resample_motion
@@ -38,17 +41,16 @@ from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.solve import smoothing
-from mocapfix.solve.kinematics import Poses, compute_world_poses, interpolate_poses, predict_markers
+from mocapfix.solve.kinematics import Poses, compute_world_poses, predict_markers
 from mocapfix.solve.minimise import compute_uncertainty
 from mocapfix.solve.parallel import map_in_threads
-from mocapfix.solve.pose_problem import find_key_frames, find_unobserved_joints, list_posed_frames
+from mocapfix.solve.pose_problem import find_key_frames, find_unobserved_joints
 from mocapfix.solve.terms import TrackingTerm
 from mocapfix.stats.sequences import interpolate_rows
 from mocapfix.subject.library import build_subject_marker_set
 
 MIN_PALM_SD_M = 0.005  # per axis, of the wrist as the forearm carries it; more where the body's hand is less certain
 MIN_PALM_SD_RAD = 0.17  # of the palm about the body's hand joint
-PALM_LEVER_M = 0.1  # a palm that is uncertain by this much is uncertain by a radian
 THUMB_NAMES = ("ThumbMetacarpal", "ThumbProximal", "ThumbDistal")
 FINGER_NAMES = tuple(
     f"{finger}{bone}" for finger in ("Index", "Middle", "Ring", "Little") for bone in ("Proximal", "Intermediate", "Distal")
@@ -185,7 +187,9 @@ def trace_palm(subject: Subject, motion: Motion, side: Side) -> PalmPath:
 
 
 def add_palm_markers(hand: FingerMarkers, subject: Subject, labels: tuple[str, ...]) -> FingerMarkers:
-    """Return the markers of a hand with those of the body that are on its back, which move with the palm."""
+    """Return the markers of a hand with those of the body on its back, which move with the palm; keypoints as they are."""
+    if hand.markers.point_sd:
+        return hand
     model, joint = load_hand(hand.side), subject.skeleton.find_joint(f"{hand.side}Hand")
     rows, own, size_ratio = np.flatnonzero(subject.joints == joint), hand.markers, subject.skeleton.size_ratio
     from_wrist = subject.skeleton.offsets[joint] - model.palm_position * size_ratio
@@ -214,7 +218,8 @@ def solve_hand(
     """Return the motion of a calibrated hand; arguments as of `calibrate_hand`."""
     measured, frames = np.where(is_used[..., None], markers, 0.0), np.arange(len(markers))
     tracking = hand.track_palm(palm)
-    poses = _solve_single_frames(hand, measured, is_used, palm, rate)
+    start = pose_in_closed_form(hand, np.where(is_used[..., None], markers, np.nan), palm)
+    poses, _ = minimise_hand_poses(hand, hand.build_terms(measured, is_used, tracking), start, ROBUST_SCALES_M, POSE_ITERATIONS)
     is_unobserved = _find_unobserved(hand, is_used)
     if is_unobserved.any():
         across, _ = smoothing.track_across_gaps(poses[1], is_unobserved, rate)
@@ -231,13 +236,15 @@ def solve_hand(
     )
     uncertainty = PoseUncertainty(*(interpolate_rows(each, known, frames) for each in uncertainty))
     smooth = smoothing.smooth_poses(poses[0], poses[1].copy(), uncertainty, is_unobserved, hand.model.free_joints, rate)
-    root, local = hand.place_palm(palm)
-    smooth.rotations[:, 0], smooth.weight[:, 0] = local[:, 0], palm.sd_rad**-2.0
-    smooth = smooth._replace(root=root, root_weight=palm.sd_m**-2.0)
-    poses, _ = minimise_hand_poses(
-        hand, hand.build_terms(measured, is_used, smooth), poses, ROBUST_SCALES_M[-1:], POSE_ITERATIONS
-    )
-    carriers = hand.attachment.joints
+    if hand.markers.markers.point_sd:  # each frame by itself would shake: the noise of keypoints is as large as the bones
+        poses = smooth.root, smooth.rotations
+    else:
+        root, local = hand.place_palm(palm)
+        smooth.rotations[:, 0], smooth.weight[:, 0] = local[:, 0], palm.sd_rad**-2.0
+        smooth = smooth._replace(root=root, root_weight=palm.sd_m**-2.0)
+        terms = hand.build_terms(measured, is_used, smooth)
+        poses, _ = minimise_hand_poses(hand, terms, poses, ROBUST_SCALES_M[-1:], POSE_ITERATIONS)
+    carriers = hand.markers.turning_joints
     is_seen = np.stack([is_used[:, (carriers > ray) & (carriers <= ray + 3)].any(1) for ray in RAY_ROOTS], axis=1)
     point_sd = np.concatenate([uncertainty.joint_sd[:, HAND_JOINTS], uncertainty.marker_sd[:, -len(TIP_JOINTS) :]], axis=1)
     return HandMotion(
@@ -304,24 +311,10 @@ def attach_hands(
     return BodyWithHands(tree, positions, np.concatenate(rotations, axis=1))
 
 
-def _solve_single_frames(hand: CalibratedHand, measured: np.ndarray, is_used: np.ndarray, palm: PalmPath, rate: float) -> Poses:
-    """Return the pose of each frame by itself: those at a rate from the rest pose, the others from their interpolation."""
-    posed = list_posed_frames(len(measured), rate)
-
-    def solve(frames: Int[np.ndarray, " N"], start: Poses, scales_m: tuple[float, ...], iterations: int) -> Poses:
-        terms = hand.build_terms(measured[frames], is_used[frames], hand.track_palm(palm.select_frames(frames)))
-        return minimise_hand_poses(hand, terms, start, scales_m, iterations)[0]
-
-    known = solve(posed, hand.place_palm(palm.select_frames(posed)), ROBUST_SCALES_M, POSE_ITERATIONS)
-    if len(posed) == len(measured):
-        return known
-    every = np.arange(len(measured))
-    return solve(every, interpolate_poses(known, posed, len(measured)), ROBUST_SCALES_M[-1:], POSE_ITERATIONS)
-
-
 def _find_unobserved(hand: CalibratedHand, is_used: Bool[np.ndarray, "T K"]) -> Bool[np.ndarray, "T J"]:
     """Return the joints that no marker shows in a frame, if one does in others."""
-    return find_unobserved_joints(is_used, hand.subject, hand.model.free_joints)
+    subject = replace(hand.subject, joints=hand.markers.turning_joints)
+    return find_unobserved_joints(is_used, subject, hand.model.free_joints)
 
 
 def _compute_uncertainty(

@@ -121,17 +121,18 @@ def run_bench_uncertainty(
 def run_bench_hands(
     people: Annotated[int, tyro.conf.arg(metavar="N", help="number of people")] = 6, as_json: JsonOption = False
 ) -> int:
-    """Solve the fingers of composed people, whose hands are not those of the model, from 20, 10, 6 and 2 finger markers.
+    """Solve the fingers of composed people, whose hands are not the model's, from 2 to 20 finger markers and 42 keypoints.
 
     Errors are mean distances of the tips and mean differences of flexion. Of a normal distribution, 68 % lie within one standard
     deviation and 95 % within two.
     """
-    from mocapfix.lab.hands import measure_finger_fills, measure_hands
+    from mocapfix.lab.hands import measure_finger_fills, measure_hands, measure_keypoints
 
     if people < 1:
         return print_usage_error(f"bench hands: --people must be at least 1, not {people}.")
     with show_progress("hands") as progress:
-        results = {"hands": measure_hands(range(people), progress), "fills": measure_finger_fills(range(people), progress)}
+        solved = measure_hands(range(people), progress) | measure_keypoints(range(people), progress)
+        results = {"hands": solved, "fills": measure_finger_fills(range(people), progress)}
     return print_results(results, as_json)
 
 

@@ -18,17 +18,29 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from mocapfix.hands.finger_markers import SIDES, load_finger_schemes
+from mocapfix.hands.calibrated_hand import CalibratedHand, PalmPath
+from mocapfix.hands.closed_form import pose_in_closed_form
+from mocapfix.hands.finger_markers import SIDES, FingerMarkers, load_finger_schemes
 from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, RAYS, TIP_JOINTS, Side, load_hand
 from mocapfix.hands.solve_hands import HandMotion, solve_hands
 from mocapfix.io.c3d import write_c3d
 from mocapfix.lab.uncertainty import PredictedErrors, summarise_errors
+from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.detected import Detected
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.pipeline import plan_subject
-from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses, compute_world_poses
-from mocapfix.stats.rigid_alignment import align_to_shape, compute_lengths, fit_common_shape, transform_to_body_axes
+from mocapfix.solve.hybrik import HybrikVariant
+from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses, compute_world_poses
+from mocapfix.stats.rigid_alignment import (
+    align_to_shape,
+    compute_lengths,
+    compute_rotations,
+    fit_common_shape,
+    transform_to_body_axes,
+)
 from mocapfix.stats.sequences import find_runs
+from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import compose_motion, draw_subject, simulate_markers
 
 HAND_SEEDS = range(6)  # people that no constant was tuned on; those used for tuning have seeds of 100 and more
@@ -43,6 +55,11 @@ WRIST_SD_DEG = (20.0, 6.0, 12.0)  # of pronation in the forearm, deviation and f
 GAP_LENGTHS = ([0.0, 0.33, 0.5, 0.75, 0.9, 0.95, 1.0], [1, 1, 3, 9, 30, 65, 300])  # frames at these shares of the gaps
 MEAN_GAP_FRAMES = 16.0
 LOST_SHARES = {"0": 0.017, "3": 0.02, "6": 0.035}  # of the samples, by the last digit of the label: tips are lost more often
+KEYPOINT_SET, KEYPOINT_STEP = "coco133", 3  # one of so many frames: the rate of video
+BODY_KEYPOINT_SD_M, HAND_KEYPOINT_SD_M, LOST_KEYPOINT_SHARE = 0.02, 0.008, 0.1  # per axis; of the samples
+FINGER_NOISE_MM = (0, 5, 10)  # maximum along each axis: phalanges are 16 to 45 mm long
+FINGER_POSES = 2000
+FINGER_VARIANTS: tuple[HybrikVariant, HybrikVariant] = ("naive", "adaptive")
 MARKER_COUNTS = {  # of a hand pair, and the labels of a left hand
     20: ("LTHM3", "LTHM6", "LIDX3", "LIDX6", "LMID0", "LMID6", "LRNG3", "LRNG6", "LPNK3", "LPNK6"),
     10: ("LTHM6", "LIDX6", "LMID6", "LRNG6", "LPNK6"),
@@ -69,6 +86,7 @@ GESTURES: dict[str, tuple[Any, Any, Any, float, float]] = {
 class TrueHand(NamedTuple):
     """One true hand over T frames, in metres, in the world."""
 
+    palm: Poses  # place of the wrist, and axes of the palm
     points: Float[np.ndarray, "T 20 3"]  # 15 joints and five tips
     flexions: Float[np.ndarray, "T 15"]  # rad
     markers: Float[np.ndarray, "T K 3"]
@@ -156,8 +174,9 @@ def draw_hand(
     )
     markers = position[:, scheme.joints] + (rotation[:, scheme.joints] @ (offset + skin)[..., None])[..., 0]
     markers += rng.normal(0, NOISE_SD_M, markers.shape)
-    is_lost = draw_finger_gaps(rng, frames, scheme.labels)
-    return TrueHand(np.concatenate([position[:, HAND_JOINTS], tips], axis=1), angles[..., 0], markers, scheme.labels, is_lost)
+    is_lost, palm = draw_finger_gaps(rng, frames, scheme.labels), (wrist, local[:, 0])
+    points = np.concatenate([position[:, HAND_JOINTS], tips], axis=1)
+    return TrueHand(palm, points, angles[..., 0], markers, scheme.labels, is_lost)
 
 
 def draw_finger_gaps(rng: np.random.Generator, frames: int, labels: tuple[str, ...]) -> Bool[np.ndarray, "T K"]:
@@ -170,13 +189,13 @@ def draw_finger_gaps(rng: np.random.Generator, frames: int, labels: tuple[str, .
     return missing
 
 
-def compose_hands(seed: int) -> TrueHands:
-    """Return a take of a person with the markers of FrontWaist and 20 finger markers.
+def compose_hands(seed: int, marker_set: str = "frontwaist53") -> TrueHands:
+    """Return a take of a person with the markers of a set of the body and 20 finger markers.
 
     Forearms pronate in the body's hand joints. The hands bend at the wrists, which lie beyond these, with their markers.
     """
     rng = np.random.default_rng(seed)
-    subject = draw_subject(rng, True, "frontwaist53")
+    subject = draw_subject(rng, True, marker_set)
     motion, hands = compose_motion(subject, SECONDS, HAND_RATE_HZ), dict[Side, TrueHand]()
     local, sigma = motion.local_rotations.copy(), 0.25 * HAND_RATE_HZ
     sway = np.radians(WRIST_SD_DEG) * rng.normal(size=(2, motion.frame_count, 3)) * np.sqrt(2 * np.sqrt(np.pi) * sigma)
@@ -286,18 +305,95 @@ def measure_hands(
     for seed in seeds:
         report_progress(f"seed {seed}")
         truth = compose_hands(seed)
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "hands.c3d"
-            write_c3d(path, truth.take)
-            fitted = plan_subject(path, CleanOptions(), "hands.c3d")[0].fit()
-        assert fitted.standing is not None
-        detected, body = fitted.detected, fitted.standing.fit
+        detected, body = fit_body(truth.take)
         for count, left in MARKER_COUNTS.items():
             kept = select_columns(truth, detected.take.labels, left)
             part, is_used = detected.take.select(kept, detected.solver_mask), detected.solver_mask[:, kept]
             hands = solve_hands(part, is_used, body.subject, body.motion)
             found[count] += [(truth.hands[hand.hand.model.side], hand) for hand in hands]
     return {f"{count} markers": summarise_hands(pairs) for count, pairs in found.items()}
+
+
+def measure_keypoints(
+    seeds: Iterable[int] = HAND_SEEDS, report_progress: Callable[[str], None] = lambda _: None
+) -> dict[str, dict[str, Any]]:
+    """Return a row for the keypoints of both hands, with the jitter of the tips in the axes of the palm."""
+    pairs: list[tuple[TrueHand, HandMotion]] = []
+    for seed in seeds:
+        report_progress(f"keypoints, seed {seed}")
+        truth = compose_keypoints(seed)
+        detected, body = fit_body(truth.take)
+        hands = solve_hands(detected.take, detected.solver_mask, body.subject, body.motion)
+        pairs += [(truth.hands[hand.hand.model.side], hand) for hand in hands]
+    solved = [measure_jitter(hand.tip_positions, (hand.palm_position, hand.palm_rotation)) for _, hand in pairs]
+    true = [measure_jitter(truth.points[:, len(HAND_JOINTS) :], truth.palm) for truth, _ in pairs]
+    jitter = {"jitter_mm": 1e3 * float(np.mean(solved)), "true_jitter_mm": 1e3 * float(np.mean(true))}
+    return {"42 keypoints": summarise_hands(pairs) | jitter}
+
+
+def measure_finger_noise(report_progress: Callable[[str], None] = lambda _: None) -> dict[str, dict[str, float]]:
+    """Return the distances of tips from the truth in mm, by noise and variant: an average hand in the gestures."""
+    points, model = next(each.hands[0] for each in load_finger_schemes() if KEYPOINT_SET in each.marker_sets), load_hand("Left")
+    markers = FingerMarkers("Left", points, np.arange(len(points.labels)))
+    hand = CalibratedHand(model, model.palm_position, np.eye(3), markers, points.marker_offsets, np.zeros(20))
+    angles, rng = compose_angles(np.random.default_rng(0), FINGER_POSES), np.random.default_rng(1)
+    angles[:, 5::3, 0] = angles[:, 4::3, 0] * 2 / 3
+    vectors = np.pad(angles[..., ::-1], ((0, 0), (0, 0), (1, 0)))
+    poses = np.zeros((FINGER_POSES, 3)), np.tile(model.skeleton.rest_rotations, (FINGER_POSES, 1, 1, 1))
+    poses[1][:, HAND_JOINTS] = compute_rotations(model.compute_angles(vectors))
+    poses[1][:, 0] = Rotation.random(FINGER_POSES, rng).as_matrix()
+    position, rotation = compute_tree_poses(hand.tree, *poses)
+    true, (joints, offsets) = hand.compute_points(poses)[:, len(HAND_JOINTS) :], hand.attachment
+    unknown = PalmPath(poses[0], *np.tile(np.eye(3), (2, FINGER_POSES, 1, 1)), *np.full((2, FINGER_POSES), 1e3))
+    centres = position[:, joints] + (rotation[:, joints] @ offsets[..., None])[..., 0]
+    results = dict[str, dict[str, float]]()
+    for noise_mm in FINGER_NOISE_MM:
+        report_progress(f"noise of fingers of {noise_mm} mm")
+        given = centres + 1e-3 * rng.uniform(-noise_mm, noise_mm, centres.shape)
+        solved = {each: hand.compute_points(pose_in_closed_form(hand, given, unknown, each)) for each in FINGER_VARIANTS}
+        errors = {each: np.linalg.norm(tips[:, len(HAND_JOINTS) :] - true, axis=2).mean() for each, tips in solved.items()}
+        results[str(noise_mm)] = {each: 1e3 * float(error) for each, error in errors.items()}
+    return results
+
+
+def measure_jitter(tips: Float[np.ndarray, "T 5 3"], palm: Poses) -> float:
+    """Return the RMS length in metres of the second differences of the tips, in the axes of the palm."""
+    in_palm = (palm[1][:, None].swapaxes(-1, -2) @ (tips - palm[0][:, None])[..., None])[..., 0]
+    return float(np.sqrt((np.diff(in_palm, 2, axis=0) ** 2).sum(-1).mean()))
+
+
+def fit_body(take: Take) -> tuple[Detected, BodyFit]:
+    """Return a take from a file, with its body, as cleaning finds them."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "hands.c3d"
+        write_c3d(path, take)
+        fitted = plan_subject(path, CleanOptions(), "hands.c3d")[0].fit()
+    assert fitted.standing is not None
+    return fitted.detected, fitted.standing.fit
+
+
+def compose_keypoints(seed: int) -> TrueHands:
+    """Return a take of a person with the keypoints of COCO-WholeBody on the body and the hands, with noise in every frame."""
+    truth, rng = compose_hands(seed, KEYPOINT_SET), np.random.default_rng(1000 + seed)
+    scheme = next(each for each in load_finger_schemes() if KEYPOINT_SET in each.marker_sets)
+    fingers = {label for hand in scheme.hands for label in hand.labels}
+    body = set(load_marker_set(KEYPOINT_SET).labels) - fingers
+    kept = [column for column, label in enumerate(truth.take.labels) if label in body]
+    keypoints, sd_m = [truth.take.markers[:, kept]], [BODY_KEYPOINT_SD_M] * len(kept)
+    for side, hand in zip(SIDES, scheme.hands, strict=True):
+        wrist, joints, tips = truth.hands[side].palm[0], *np.split(truth.hands[side].points, [len(HAND_JOINTS)], axis=1)
+        rays = np.concatenate([joints.reshape(-1, len(RAYS), 3, 3), tips[:, :, None]], axis=2)  # in the order of the scheme
+        keypoints += [wrist[:, None], rays.reshape(-1, 4 * len(RAYS), 3)]
+        sd_m += [HAND_KEYPOINT_SD_M] * len(hand.labels)
+    markers = np.concatenate(keypoints, axis=1)[::KEYPOINT_STEP]
+    markers += rng.normal(size=markers.shape) * np.array(sd_m)[:, None]
+    markers[rng.random(markers.shape[:2]) < LOST_KEYPOINT_SHARE] = np.nan
+    labels = (*(truth.take.labels[column] for column in kept), *(label for hand in scheme.hands for label in hand.labels))
+    hands, every = dict[Side, TrueHand](), slice(None, None, KEYPOINT_STEP)
+    for side, hand in truth.hands.items():
+        palm = hand.palm[0][every], hand.palm[1][every]
+        hands[side] = hand._replace(palm=palm, points=hand.points[every], flexions=hand.flexions[every])
+    return TrueHands(Take(markers, labels, HAND_RATE_HZ / KEYPOINT_STEP), hands)
 
 
 def select_columns(truth: TrueHands, labels: tuple[str, ...], kept: tuple[str, ...]) -> Int[np.ndarray, " N"]:

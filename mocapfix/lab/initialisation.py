@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.detect.loop import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
+from mocapfix.lab.hands import measure_finger_noise
 from mocapfix.lab.hybrik_tables import (
     NO_TWISTS,
     build_cmu41_subject,
@@ -449,6 +450,7 @@ def measure_hybrik(motion_folder: Path | None, capture_folder: Path | None, prog
     noise_results = measure_joint_noise(poses, progress)
     results: dict[str, Any] = {"poses": len(poses), "threads": count_cores()} | noise_results
     results["ratios"] = {key: compute_noise_ratios(noise_results[key]) for key in ("jitter_mm", "wrong_bones_mm")}
+    results["fingers_mm"] = measure_finger_noise(progress)
     results["twist"] = measure_twist_sources(poses, subject, progress)
     progress("frames per second")
     results |= measure_hybrik_speeds(poses, subject)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int
 from numpy.typing import ArrayLike
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
@@ -36,6 +36,7 @@ from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body, load_cmu31_skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.solve import mean_pose
+from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.parallel import run_over_frames
 
@@ -82,16 +83,27 @@ def build_bones(
     conflict_joint = np.full(len(parents), -1)
     for k in (skeleton.find_joint(name) for name in SUBTREE_ROOTS):
         conflict_joint[parents[parents[k]]] = k
+    near_root = {point.point_index for point in root_points}
+    trunk = [point for point in list_trunk_points(skeleton, prior) if point.point_index not in near_root]
+    return pack_bones(skeleton, points, is_held, conflict_joint), pack_root_points([*root_points, *trunk])
+
+
+def pack_bones(
+    skeleton: Skeleton, points: list[list[BonePoint]], is_held: Bool[np.ndarray, " J"], conflict_joint: Int[np.ndarray, " J"]
+) -> HybrikSkeleton:
+    """Return the bones of any tree, from the points that each joint's rotation moves."""
     is_solved = np.array([any(point.is_child for point in each) for each in points]) & ~is_held
     first_point, is_off_axis = np.cumsum([0, *map(len, points)]), np.concatenate([find_off_axis_points(each) for each in points])
     index, rest_position, is_child, variance = map(np.array, zip(*(point for each in points for point in each), strict=True))
     of_points = first_point, index, rest_position, is_child, is_off_axis, variance
-    bones = HybrikSkeleton(parents, skeleton.offsets, is_solved, *of_points, conflict_joint)
-    near_root = {point.point_index for point in root_points}
-    trunk = [point for point in list_trunk_points(skeleton, prior) if point.point_index not in near_root]
-    index, rest_position, _, variance = map(np.array, zip(*root_points, *trunk, strict=True))
+    return HybrikSkeleton(skeleton.parents, skeleton.offsets, is_solved, *of_points, conflict_joint)
+
+
+def pack_root_points(points: list[BonePoint]) -> RootPoints:
+    """Return points that determine the root of any tree."""
+    index, rest_position, _, variance = map(np.array, zip(*points, strict=True))
     distance = np.linalg.norm(rest_position[:, None] - rest_position, axis=2)
-    return bones, RootPoints(index, rest_position, variance, (distance < MIN_JOINT_DISTANCE_M).argmax(axis=1))
+    return RootPoints(index, rest_position, variance, (distance < MIN_JOINT_DISTANCE_M).argmax(axis=1))
 
 
 def list_bone_points(j: int, subject: Subject, prior: MeanPosePrior, has_markers: bool) -> list[BonePoint]:
@@ -320,17 +332,15 @@ def solve_hybrik(
     variance = compute_point_variances(joint_sd, joint_positions, points.shape[1])
     root_position, root_rotation, is_known = register_root(root_points, points, variance, variant == "x")
     local_rotations = np.tile(prior.mean_rotations, (frame_count, 1, 1, 1))
-    local_rotations[:, 0], reach_error = root_rotation, np.empty(frame_count)
+    local_rotations[:, 0] = root_rotation
     if twists is None:
         weighted_twists = load_shipped_regressor().predict_twists(joint_positions, root_rotation)
     else:
         weighted_twists = check_array("twists", twists, (None, joint_count, 2), allow_nan=False)
     if len(weighted_twists) not in {1, frame_count}:
         raise ConstraintError(f"twists must have 1 or {frame_count} frames, not {len(weighted_twists)}.")
-    observations = HybrikObservations(points, variance, weighted_twists + [NO_TWIST_INFORMATION, 0.0])
-    run_over_frames(
-        solve_hybrik_frames, frame_count, bones, VARIANT_CODES[variant], observations, root_position, local_rotations, reach_error
-    )
+    observations = points, variance, weighted_twists + [NO_TWIST_INFORMATION, 0.0]
+    reach_error = solve_hybrik_tree(bones, observations, (root_position, local_rotations), variant)
     status = np.select(
         [~is_known, reach_error > MAX_REACH_ERROR_M, reach_error < -MAX_REACH_ERROR_M],
         [int(FrameStatus.GUESSED), int(FrameStatus.OUT_OF_REACH), int(FrameStatus.TOO_NEAR)],
@@ -338,6 +348,21 @@ def solve_hybrik(
     )
     marker_sd, predicted_joint_sd = (np.full((frame_count, n), np.nan) for n in (len(subject.joints), joint_count))
     return Motion(root_position, local_rotations, status, np.zeros(frame_count, int), marker_sd, predicted_joint_sd)
+
+
+def solve_hybrik_tree(
+    bones: HybrikSkeleton, observations: tuple[np.ndarray, np.ndarray, np.ndarray], poses: Poses, variant: HybrikVariant | str
+) -> Float[np.ndarray, " T"]:
+    """Turn the joints of any tree, in place. Return by how much its sub-trees are out of reach, in metres; negative: too near.
+
+    Args:
+        observations: Points, variances and twists; see `HybrikObservations`.
+        poses: Their roots are given, and the rotations of joints without a child among the known points.
+    """
+    reach_error = np.empty(len(poses[0]))
+    solved = bones, VARIANT_CODES[variant], HybrikObservations(*observations), *poses, reach_error
+    run_over_frames(solve_hybrik_frames, len(reach_error), *solved)
+    return reach_error
 
 
 def register_root(

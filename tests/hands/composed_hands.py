@@ -11,15 +11,15 @@ from mocapfix.stats.rigid_alignment import compute_rotations
 RATE_HZ, FRAMES = 60.0, 240
 
 
-def choose_markers(side, labels=None):
-    scheme = next(each for each in load_finger_schemes() if each.name == "vicon-fingers").hands[side == "Right"]
+def choose_markers(side, labels=None, scheme="vicon-fingers"):
+    scheme = next(each for each in load_finger_schemes() if each.name == scheme).hands[side == "Right"]
     chosen = scheme if labels is None else scheme.select_markers({side[0] + label for label in labels})
     return FingerMarkers(side, chosen, np.arange(len(chosen.labels)))
 
 
-def build_hand(side, labels=None):
+def build_hand(side, labels=None, scheme="vicon-fingers"):
     """Return the average hand, calibrated without error."""
-    hand, markers = load_hand(side), choose_markers(side, labels)
+    hand, markers = load_hand(side), choose_markers(side, labels, scheme)
     return CalibratedHand(hand, hand.palm_position, np.eye(3), markers, markers.markers.marker_offsets, np.zeros(20))
 
 

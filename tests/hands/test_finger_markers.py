@@ -36,6 +36,34 @@ def test_sets_of_optitrack_are_found_with_their_body():
     assert right.columns.tolist() == [53, 54, 55]
 
 
+@pytest.mark.parametrize(("body", "wrist", "tip"), [
+    ("coco133", "left_hand_root", "left_pinky_finger4"), ("mediapipe33", "left_hand_wrist", "left_hand_pinky_tip"),
+])  # fmt: skip
+def test_keypoints_of_hands_are_found_with_their_body(body, wrist, tip):
+    scheme = next(each for each in load_finger_schemes() if body in each.marker_sets)
+    labels = (*load_marker_set(body).labels, *scheme.hands[0].labels, *scheme.hands[1].labels)
+    left, right = find_finger_markers(body, labels)
+    assert len(left.columns) == len(right.columns) == 21
+    assert left.markers.point_sd == 0.008
+    joints = dict(zip(left.markers.labels, left.turning_joints.tolist(), strict=True))
+    names = load_hand("Left").skeleton.names
+    assert joints[wrist] == 0
+    assert names[joints[tip]] == "LeftHandPinky3"
+    assert sum(joint == 0 for joint in joints.values()) == 6  # wrist, knuckles, saddle joint
+    assert [label.replace("left", "right") for label in left.markers.labels] == list(right.markers.labels)
+
+
+def test_both_spellings_of_mediapipes_fingers_are_known():
+    labels = ("left_hand_index_mcp", "left_hand_index_tip", "left_hand_pinky_finger_tip")
+    (left,) = find_finger_markers("mediapipe33", labels)
+    assert left.columns.tolist() == [0, 1, 2]
+    assert left.markers.labels == ("left_hand_index_finger_mcp", "left_hand_index_finger_tip", "left_hand_pinky_tip")
+
+
+def test_knuckles_alone_are_no_hand():
+    assert find_finger_markers("coco133", load_marker_set("coco133").labels) == ()
+
+
 @pytest.mark.parametrize("body", ["cmu41", "coco133", "a set of one's own"])
 def test_a_label_means_nothing_in_another_scheme(body):
     assert find_finger_markers(body, VICON) == ()

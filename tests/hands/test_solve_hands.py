@@ -121,6 +121,17 @@ def test_a_hand_without_visible_markers_is_at_rest_and_uncertain():
     assert found.point_sd[-1, 15:].min() > 0.015
 
 
+def test_noise_of_keypoints_does_not_shake_the_fingers():
+    hand, rng = build_hand("Left", scheme="coco133-hands"), np.random.default_rng(3)
+    palm, poses = compose_poses(hand, seed=4)
+    points = carry_markers(hand, poses) + rng.normal(0, 0.004, (FRAMES, 21, 3))
+    is_used = rng.random(points.shape[:2]) > 0.1
+    found, true = solve_hand(hand, points, is_used, palm, RATE_HZ), hand.compute_points(poses)[:, 15:]
+    assert np.linalg.norm(found.tip_positions - true, axis=2).mean() < 0.004
+    shake, given = (np.sqrt((np.diff(each, 2, axis=0) ** 2).sum(-1).mean()) for each in (found.tip_positions, points))
+    assert shake < np.sqrt((np.diff(true, 2, axis=0) ** 2).sum(-1).mean()) + 0.03 * given
+
+
 @pytest.mark.parametrize("ratio", [0.92, 1.08])
 def test_calibration_approaches_the_length_of_the_hand_and_says_how_well(ratio):
     hand = build_hand("Left")

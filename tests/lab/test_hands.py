@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.lab import hands
 
@@ -58,3 +59,32 @@ def test_fills_are_compared_with_a_line_a_cubic_and_a_palm_that_carries_the_mark
     errors = np.concatenate([each for found in rows.values() for each in found])
     assert (errors[:, 0] == 0).all()
     assert errors[:, 3].mean() < 0.5 * errors[:, 1].mean()  # of a marker that moves with the palm, and of a line
+
+
+def test_keypoints_are_the_joints_with_noise():
+    truth = hands.compose_keypoints(0)
+    labels, missing = truth.take.labels, ~truth.take.visible
+    assert truth.take.rate == pytest.approx(hands.HAND_RATE_HZ / hands.KEYPOINT_STEP)
+    assert sum("finger" in label or "thumb" in label or "hand_root" in label for label in labels) == 42
+    assert missing.mean() == pytest.approx(hands.LOST_KEYPOINT_SHARE, abs=0.01)
+    for label, point in (("right_middle_finger4", 17), ("right_thumb1", 0), ("right_forefinger3", 5)):
+        error = truth.take.markers[:, labels.index(label)] - truth.hands["Right"].points[:, point]
+        assert np.nanstd(error) == pytest.approx(hands.HAND_KEYPOINT_SD_M, rel=0.1)
+        assert np.abs(np.nanmean(error, axis=0)).max() < 0.001
+
+
+def test_jitter_is_what_tips_do_in_the_palm():
+    rng, frames = np.random.default_rng(0), 5000
+    turns = Rotation.from_rotvec(np.outer(np.linspace(0, 9, frames), [0, 1, 0])).as_matrix()
+    root, still = rng.normal(size=(frames, 3)), np.ones((frames, 5, 3))
+    noise = rng.normal(0, 0.01, still.shape)
+    in_world = [root[:, None] + np.einsum("tab,tkb->tka", turns, each) for each in (still, still + noise)]
+    assert hands.measure_jitter(in_world[0], (root, turns)) == pytest.approx(0, abs=1e-12)
+    assert hands.measure_jitter(in_world[1], (root, turns)) == pytest.approx(0.01 * np.sqrt(3 * 6), rel=0.02)
+
+
+def test_adaptive_fingers_are_nearer_than_naive_ones():
+    errors = hands.measure_finger_noise()
+    assert max(errors["0"].values()) < 1e-3
+    for noise in ("5", "10"):
+        assert errors[noise]["adaptive"] < 0.85 * errors[noise]["naive"]

@@ -46,6 +46,7 @@ def test_json_has_its_keys(capsys):
             assert list(variants) == VARIANTS
             assert all(list(parts) == PARTS for parts in variants.values())
     assert results["ratios"]["jitter_mm"] == hybrik_tables.compute_noise_ratios(results["jitter_mm"])
+    assert list(results["fingers_mm"]) == ["0", "5", "10"]
     assert {"random", "zero", "regressed", "markers"} < set(results["twist"])
     assert all({"joints_mm", "markers_mm"} < set(row) for row in results["twist"].values())
     assert list(results["fps_by_way"]) == VARIANTS
