@@ -27,16 +27,8 @@ from mocapfix.hands.calibration import build_average_hand
 from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers
 from mocapfix.hands.hand_model import load_hand
 from mocapfix.hands.solve_hands import add_palm_markers, trace_palm
+from mocapfix.labels import tracklets
 from mocapfix.labels.label_swaps import build_exchange_fault, find_permutation_cycles
-from mocapfix.labels.tracklets import (
-    SampledPoints,
-    UnlabelledPoints,
-    assign_to_tracklets,
-    assign_tracklets,
-    link_points,
-    measure_tracklets,
-    sample_points,
-)
 from mocapfix.model.faults import Fault
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
@@ -75,13 +67,13 @@ class HandPoints:
     hand: FingerMarkers
     palm: PalmPath
     palm_markers: Float[np.ndarray, "T P 3"]
-    points: UnlabelledPoints
+    points: tracklets.UnlabelledPoints
     shares: Float[np.ndarray, "N K"]
     size_ratio: float  # of the person's body to the average one
 
     @cached_property
-    def sampled(self) -> SampledPoints:
-        return sample_points(self.points)
+    def sampled(self) -> tracklets.SampledPoints:
+        return tracklets.sample_points(self.points)
 
     @cached_property
     def spans(self) -> Int[np.ndarray, "2 N"]:
@@ -130,9 +122,9 @@ def collect_points(
     wrist = palm.position + palm.rotation @ (load_hand(hand.side).palm_position * size_ratio)
     local = np.einsum("tba,tcb->tca", palm.hand_rotation, positions - wrist[:, None])
     is_far = np.linalg.norm(local, axis=-1) > FINGER_REACH_M
-    linked = link_points(np.where(is_far[..., None], np.nan, local), labelled.rate, COLUMN_GAIN).tracklet_indices
+    linked = tracklets.link_points(np.where(is_far[..., None], np.nan, local), labelled.rate, COLUMN_GAIN).tracklet_indices
     indices = cut_unseen_changes(linked, ~np.isnan(positions[..., 0]))
-    points = UnlabelledPoints(np.where(is_far[..., None], np.nan, positions), indices, labelled.rate)
+    points = tracklets.UnlabelledPoints(np.where(is_far[..., None], np.nan, positions), indices, labelled.rate)
     counts, (frames, rows) = np.zeros((points.tracklet_count, len(columns))), np.nonzero(indices >= 0)
     np.add.at(counts, (indices[frames, rows], rows), 1)
     shares = counts @ (columns[:, None] == hand.columns) / counts.sum(1, keepdims=True)
@@ -159,12 +151,12 @@ def label_tracklets(hand_points: HandPoints) -> Int[np.ndarray, " N"]:
     sampled, count = hand_points.sampled, hand_points.shares.shape[1]
     prior = (1 - hand_points.shares) * OTHER_COLUMN_SD_M**2
     every, most = np.ones(len(prior)), 0.99 * OTHER_COLUMN_SD_M
-    markers = assign_tracklets(sampled, prior, most * every)
+    markers = tracklets.assign_tracklets(sampled, prior, most * every)
     hand = build_average_hand(hand_points.hand, hand_points.size_ratio)
     for _ in range(MAX_ASSIGNMENT_ROUNDS):
         predicted = hand_points.fit_poses(hand, sampled.frames, sampled.arrange_markers(markers, count))[1]
-        squared = measure_tracklets(sampled, predicted, 2 * MAX_FINGER_DISTANCE_M).squared_m2
-        before, markers = markers, assign_tracklets(sampled, squared + prior, MAX_FINGER_DISTANCE_M * every)
+        squared = tracklets.measure_tracklets(sampled, predicted, 2 * MAX_FINGER_DISTANCE_M).squared_m2
+        before, markers = markers, tracklets.assign_tracklets(sampled, squared + prior, MAX_FINGER_DISTANCE_M * every)
         if (markers == before).all():
             break
     for _ in range(MAX_EXCHANGES):
@@ -236,7 +228,7 @@ def find_finger_faults(take: Take, subject: Subject, motion: Motion) -> list[Fau
     target = np.tile(places, (take.frame_count, 1))
     for hand in hands:
         points, own = collect_points(hand, (subject, motion), take, positions, columns), places[np.isin(columns, hand.columns)]
-        found = assign_to_tracklets(points.points, label_tracklets(points), -2)
+        found = tracklets.assign_to_tracklets(points.points, label_tracklets(points), -2)
         is_lost = (found == -1) & np.isin(places, own)
         target = np.where(found >= 0, own[found], np.where(is_lost, -1, target))
     is_visible, runs = ~np.isnan(positions[..., 0]), dict[tuple[int, ...], list[int]]()
