@@ -21,13 +21,14 @@ from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_o
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.hands.calibrated_hand import CalibratedHand
+from mocapfix.hands.finger_labels import label_unlabelled_fingers, may_show_fingers
 from mocapfix.hands.solve_hands import HandMotion, calibrate_hands, solve_hands
 from mocapfix.io.capture import read_capture
 from mocapfix.io.changes_file import Correction, Review, build_fault_review, reject_corrections
 from mocapfix.io.files import return_free_memory
 from mocapfix.labels import multi_subject
 from mocapfix.labels.multi_subject import choose_subject_file, split_corrected_subjects
-from mocapfix.labels.requested_labels import describe_missing_labels, label_capture
+from mocapfix.labels.requested_labels import describe_missing_labels, label_capture, label_unlabelled
 from mocapfix.model.animation import Animation
 from mocapfix.model.body_fit import BodyFit, SubjectInTake
 from mocapfix.model.changes import Filled
@@ -131,11 +132,30 @@ def clean_capture(capture: Take | Animation, options: CleanOptions, timer: Stage
 
 
 def label_or_load(capture: Take, options: CleanOptions) -> tuple[Take, CleanOptions]:
-    """Return what `label_capture` does; a long take that cannot be cleaned in windows is no longer stored."""
-    capture, options = label_capture(capture, options, calibrate_takes)
+    """Return what `label_markers` does; a long take that cannot be cleaned in windows is no longer stored."""
+    capture, options = label_markers(capture, options)
     if capture.frame_count > MAX_PIECE_FRAMES and (len(set(capture.labels)) < len(capture.labels) or not is_stored(capture)):
         capture = select_frames(replace(capture, notes=(*capture.notes, ONE_PIECE_NOTE)), slice(0, None))
     return capture, options
+
+
+NO_FINGER_SET_NOTE = "Unlabelled points near the hands are no finger set of the marker set, so they keep no label."
+
+
+def label_markers(capture: Take, options: CleanOptions) -> tuple[Take, CleanOptions]:
+    """Return what `label_capture` does, with labels of fingers near the hands of a body that alone is labelled."""
+    capture, options = label_capture(capture, options, calibrate_takes)
+    is_done = capture.labelled_file is not None or options.initialise.is_fast or is_stored(capture)
+    if is_done or capture.unlabelled is None or len(set(capture.marker_subjects)) > 1:
+        return capture, options
+    choice = identify_subject(capture, options.subject)
+    if choice.marker_set is None or not may_show_fingers(capture, choice.marker_set):
+        return capture, options
+    _, detected, body = detect_and_fit(capture, choice, FaultReview(), options, StageTimer())
+    found = label_unlabelled_fingers(detected.take, body.subject, body.motion) if body else None
+    if found is None:
+        return replace(capture, notes=(*capture.notes, NO_FINGER_SET_NOTE)), options
+    return label_unlabelled(capture, *found, options.read), options
 
 
 def reject_animation_options(take: Take, options: CleanOptions) -> None:
@@ -164,7 +184,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; there is nothing to label.")
     with timer("label"):
-        labelled, _ = label_capture(capture, options, calibrate_takes)
+        labelled, _ = label_markers(capture, options)
     if labelled.labelled_file is None:
         raise TakeError(describe_missing_labels(capture, labelled))
     return labelled
@@ -360,7 +380,7 @@ def remember_take(path: str | Path, take_id: str, options: CleanOptions = DEFAUL
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; remember marker takes.")
     reject_animation_options(capture, options)
-    capture, options = label_capture(capture, options, calibrate_takes)
+    capture, options = label_markers(capture, options)
     remembered, memories = RememberedTake(take_id, digest_capture(Path(path))), dict[str, PersonMemory]()
     for take in split_corrected_subjects(capture, options)[0]:
         body = detect_and_fit(take, identify_subject(take, options.subject), FaultReview(), options, StageTimer()).body
@@ -549,7 +569,7 @@ def inspect(
 
         return [inspect_animation(capture, options)]
     reject_animation_options(capture, options)
-    capture, options = label_capture(capture, options, calibrate_takes)
+    capture, options = label_markers(capture, options)
 
     def inspect_one(take: Take) -> InspectionReport:
         choice = identify_subject(take, options.subject)

@@ -8,7 +8,7 @@ stretch at whose ends both are unseen, if the poses of the hand are then more pr
 adapt to the take would adapt to labels that are wrong in most of it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,17 +24,20 @@ from mocapfix.hands.calibrated_hand import (
     minimise_hand_poses,
 )
 from mocapfix.hands.calibration import build_average_hand
-from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers
-from mocapfix.hands.hand_model import load_hand
+from mocapfix.hands.finger_markers import SIDES, FingerMarkers, find_finger_markers, list_finger_sets
+from mocapfix.hands.hand_model import HAND_JOINTS, load_hand
 from mocapfix.hands.solve_hands import add_palm_markers, trace_palm
 from mocapfix.labels import tracklets
 from mocapfix.labels.label_swaps import build_exchange_fault, find_permutation_cycles
 from mocapfix.model.faults import Fault
+from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.solve.kinematics import Poses, compute_tree_poses
+from mocapfix.solve.kinematics import predict_markers
 from mocapfix.solve.minimise import compute_costs
+from mocapfix.stats.rigid_alignment import compute_rotations
 from mocapfix.stats.sequences import sample_evenly
 
 # Measured on composed people of `bench hands` with seeds of 100 and more, with 20, 10 and 6 markers of a hand pair.
@@ -52,6 +55,13 @@ MIN_FINGER_GAIN = 3.0
 MAX_TESTED_FRAMES = 16  # of a stretch
 MAX_EXCHANGES = 12  # of a hand
 FINGER_CONFIDENCE = 0.95  # of a correction
+MIN_FINGER_CONFIDENCE = 0.8  # of the label of a point that has none in the file
+MIN_NEAR_POINTS = 2  # near a hand in most frames that may be its fingers
+START_FRAMES = 40  # in which labels are searched that the file does not have
+START_CODE = 1.5  # standard deviations of the hand's first modes: the poses from which they are searched, besides the mean
+START_GATES_M = (0.12, 0.08, 0.06, 0.05)  # distances beyond which a point is not assigned, in each round
+LOST_MARKER_COST = 10.0  # of a marker without a point, as of `MIN_FINGER_GAIN`
+MAX_COUNT_DIFFERENCE = 0.2  # of the median number of points near a hand from that of a set's markers, as a share of these
 
 
 @dataclass(frozen=True)
@@ -93,14 +103,9 @@ class HandPoints:
         terms = hand.build_terms(np.where(is_used[..., None], markers, 0.0), is_used, hand.track_palm(palm))
         poses, codes = minimise_hand_poses(hand, terms, hand.place_palm(palm), ROBUST_SCALES_M, POSE_ITERATIONS)
         terms, squared_scale = (*terms, linearise_hand_prior(hand, len(frames))), (ROBUST_SCALES_M[-1] / MARKER_SD_M) ** 2
-        return compute_costs(hand.tree, terms, poses, squared_scale, codes=codes), predict_fingers(hand, poses, fingers.shape[1])
-
-
-def predict_fingers(hand: CalibratedHand, poses: Poses, count: int) -> Float[np.ndarray, "S K 3"]:
-    """Return where poses have the first markers of a hand, in metres."""
-    position, rotation = compute_tree_poses(hand.tree, *poses)
-    joints, offsets = (each[:count] for each in hand.attachment)
-    return position[:, joints] + (rotation[:, joints] @ offsets[..., None])[..., 0]
+        return compute_costs(hand.tree, terms, poses, squared_scale, codes=codes), predict_markers(hand.subject, poses)[
+            :, : fingers.shape[1]
+        ]
 
 
 def collect_points(
@@ -146,8 +151,11 @@ def cut_unseen_changes(indices: Int[np.ndarray, "T C"], is_visible: Bool[np.ndar
     return cut
 
 
-def label_tracklets(hand_points: HandPoints) -> Int[np.ndarray, " N"]:
-    """Return the marker of each tracklet, -1 for none."""
+def label_tracklets(hand_points: HandPoints, min_gain: float) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Return the marker of each tracklet, -1 for none, and its probability against the best exchange that is not made.
+
+    Exchanges must save more than `min_gain`.
+    """
     sampled, count = hand_points.sampled, hand_points.shares.shape[1]
     prior = (1 - hand_points.shares) * OTHER_COLUMN_SD_M**2
     every, most = np.ones(len(prior)), 0.99 * OTHER_COLUMN_SD_M
@@ -159,14 +167,18 @@ def label_tracklets(hand_points: HandPoints) -> Int[np.ndarray, " N"]:
         before, markers = markers, tracklets.assign_tracklets(sampled, squared + prior, MAX_FINGER_DISTANCE_M * every)
         if (markers == before).all():
             break
+    saved = np.full(len(markers), MIN_PRELIMINARY_GAIN)
     for _ in range(MAX_EXCHANGES):
         exchanges = find_exchanges_of_fingers(hand_points, hand, markers)
+        saved[:] = MIN_PRELIMINARY_GAIN
+        for gain, exchanged, _ in exchanges:
+            saved[exchanged] = np.maximum(saved[exchanged], gain)
         gain, exchanged, pair = max(exchanges, key=lambda each: each[0], default=(-np.inf, np.zeros(0, int), (0, 0)))
-        if gain <= MIN_FINGER_GAIN:
+        if gain <= min_gain:
             break
         markers = markers.copy()
         markers[exchanged] = np.where(markers[exchanged] == pair[0], pair[1], pair[0])
-    return markers
+    return markers, 1 / (1 + np.exp(saved))
 
 
 def find_exchanges_of_fingers(
@@ -228,7 +240,7 @@ def find_finger_faults(take: Take, subject: Subject, motion: Motion) -> list[Fau
     target = np.tile(places, (take.frame_count, 1))
     for hand in hands:
         points, own = collect_points(hand, (subject, motion), take, positions, columns), places[np.isin(columns, hand.columns)]
-        found = tracklets.assign_to_tracklets(points.points, label_tracklets(points), -2)
+        found = tracklets.assign_to_tracklets(points.points, label_tracklets(points, MIN_FINGER_GAIN)[0], -2)
         is_lost = (found == -1) & np.isin(places, own)
         target = np.where(found >= 0, own[found], np.where(is_lost, -1, target))
     is_visible, runs = ~np.isnan(positions[..., 0]), dict[tuple[int, ...], list[int]]()
@@ -263,3 +275,75 @@ def _order_sources(target: Int[np.ndarray, " F"], is_visible: Bool[np.ndarray, "
             end = source[end]
         source[end] = label
     return source
+
+
+def may_show_fingers(take: Take, marker_set: MarkerSet) -> bool:
+    """Return whether unlabelled points are near a labelled hand of a body without finger markers in most frames."""
+    if take.unlabelled is None or marker_set.point_sd or find_finger_markers(marker_set.name, take.labels):
+        return False
+    if not list_finger_sets(marker_set.name):
+        return False
+    joints, columns = load_cmu31_body().skeleton, marker_set.find_columns(take.labels)
+    for side in SIDES:
+        own = columns[(marker_set.joints == joints.find_joint(f"{side}Hand")) & (columns >= 0)]
+        for column in own[:1]:
+            distance = np.linalg.norm(take.unlabelled.markers - take.markers[:, column, None], axis=-1)
+            if np.median((distance < FINGER_REACH_M).sum(1)) >= MIN_NEAR_POINTS:
+                return True
+    return False
+
+
+def search_labels(hand_points: HandPoints) -> HandPoints:
+    """Return points without labels with the shares of frames in which the best pose of the hand has each tracklet as a marker."""
+    sampled, count, tracklet_count = hand_points.sampled, hand_points.shares.shape[1], hand_points.points.tracklet_count
+    hand, number = build_average_hand(hand_points.hand, hand_points.size_ratio), (sampled.tracklets >= 0).sum(1)
+    full = np.flatnonzero(number >= np.quantile(number, 0.5))
+    part = sampled.select_frames(full[sample_evenly(len(full), START_FRAMES)])
+    root, rest = hand.place_palm(hand_points.palm.select_frames(part.frames))
+    modes = START_CODE * np.eye(hand.model.prior.code_size)[:2]
+    least, best = np.full(len(part.frames), np.inf), np.full(part.tracklets.shape, -1)
+    for code in (0 * modes[0], *modes, *-modes):
+        local, vectors = rest.copy(), hand.model.prior.decode(code[None])
+        local[:, HAND_JOINTS] = local[:, HAND_JOINTS] @ compute_rotations(vectors[:, HAND_JOINTS])
+        predicted, cost, found = predict_markers(hand.subject, (root, local))[:, :count], least, best
+        for gate_m in START_GATES_M:
+            squared = np.nan_to_num(((part.positions[:, :, None] - predicted[:, None]) ** 2).sum(-1), nan=1e3)
+            found = np.array([tracklets.assign_within_gate(each, gate_m)[0] for each in squared])
+            fingers = np.full(predicted.shape, np.nan)
+            rows, places = np.nonzero(found >= 0)
+            fingers[rows, found[rows, places]] = part.positions[rows, places]
+            cost, predicted = hand_points.fit_poses(hand, part.frames, fingers)
+        cost = cost + LOST_MARKER_COST * (count - (found >= 0).sum(1))
+        best[cost < least] = found[cost < least]
+        least = np.minimum(cost, least)
+    votes = np.zeros((tracklet_count, count + 1))
+    np.add.at(votes, (part.tracklets[part.tracklets >= 0], best[part.tracklets >= 0]), 1)
+    return replace(hand_points, shares=votes[:, :count] / np.maximum(votes.sum(1, keepdims=True), 1))
+
+
+def label_unlabelled_fingers(
+    take: Take, subject: Subject, motion: Motion
+) -> tuple[tracklets.PointLabels, tuple[str, ...]] | None:
+    """Return the labels of unlabelled points near the hands of a body, and their names; None if they are no finger set.
+
+    Where an exchange of two labels is about as probable, neither point gets one.
+    """
+    assert take.unlabelled is not None
+    positions, names = take.unlabelled.markers, list[str]()
+    markers, confidence = np.full(positions.shape[:2], -1), np.zeros(positions.shape[:2])
+    sets = list_finger_sets(subject.marker_set)
+    for hands in zip(*sets, strict=True):
+        found = [collect_points(hand, (subject, motion), take, positions, np.full(positions.shape[1], -2)) for hand in hands]
+        near = float(np.median((found[0].points.tracklet_indices >= 0).sum(1)))
+        points = min(found, key=lambda each: abs(each.shares.shape[1] - near))
+        if abs(points.shares.shape[1] - near) > MAX_COUNT_DIFFERENCE * points.shares.shape[1]:
+            continue
+        of_tracklets, probability = label_tracklets(search_labels(points), 0.0)
+        of_tracklets = np.where(probability >= MIN_FINGER_CONFIDENCE, of_tracklets, -1)
+        own = tracklets.assign_to_tracklets(points.points, of_tracklets, -1)
+        is_new = (own >= 0) & (markers < 0)
+        markers[(own >= 0) & ~is_new] = -1  # both hands might have it
+        markers[is_new] = own[is_new] + len(names)
+        confidence[is_new] = tracklets.assign_to_tracklets(points.points, probability, 0.0)[is_new]
+        names += points.hand.markers.labels[: points.shares.shape[1]]
+    return (tracklets.PointLabels(markers, confidence), tuple(names)) if (markers >= 0).any() else None

@@ -6,7 +6,7 @@ whose body has such a set.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,7 @@ class FingerScheme:
     title: str
     marker_sets: tuple[str, ...]
     hands: tuple[MarkerSet, MarkerSet]  # left, right
+    sets: tuple[frozenset[str], ...]  # the labels of a left hand that are used together
 
 
 @cache
@@ -76,7 +77,8 @@ def read_finger_scheme(path: Path) -> FingerScheme:
             aliases = tuple(tuple(_rename(alias, side) for alias in each.get("aliases", ())) for each in places)
             of_hand = f"{side.lower()} hand", labels, joints, offsets, spread, aliases
             hands.append(MarkerSet(name, title, *of_hand, point_sd=point_sd))
-        return FingerScheme(name, title, tuple(data["marker_sets"]), (hands[0], hands[1]))
+        sets = tuple(map(frozenset, (*data.get("sets", ()), entries)))
+        return FingerScheme(name, title, tuple(data["marker_sets"]), (hands[0], hands[1]), sets)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise SceneError(f"{path}: must hold name, title, marker_sets and markers ({error}).") from error
 
@@ -98,6 +100,22 @@ def find_finger_markers(marker_set_name: str, labels: tuple[str, ...]) -> tuple[
             found = [FingerMarkers(side, hand, hand.find_columns(labels)) for side, hand in zip(SIDES, scheme.hands, strict=True)]
             return tuple(select_shown(each) for each in found if ((each.columns >= 0) & (each.turning_joints > 0)).any())
     return ()
+
+
+def list_finger_sets(marker_set_name: str) -> list[tuple[FingerMarkers, FingerMarkers]]:
+    """Return the finger markers of left and right hands that are used together with a marker set of the body."""
+    return [
+        (select(SIDES[0]), select(SIDES[1]))
+        for scheme in load_finger_schemes()
+        if marker_set_name in scheme.marker_sets
+        for labels in scheme.sets
+        for select in [partial(_select_markers, scheme, labels)]
+    ]
+
+
+def _select_markers(scheme: FingerScheme, labels: frozenset[str], side: Side) -> FingerMarkers:
+    own = scheme.hands[SIDES.index(side)].select_markers({side[0] + label[1:] for label in labels})
+    return FingerMarkers(side, own, np.full(len(own.labels), -1))
 
 
 def select_shown(hand: FingerMarkers) -> FingerMarkers:

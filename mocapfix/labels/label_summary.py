@@ -8,6 +8,7 @@ from jaxtyping import Bool
 from mocapfix.errors import format_name_list
 from mocapfix.model.take import Take
 from mocapfix.stats.sequences import find_runs
+from mocapfix.subject.library import choose_marker_set
 
 CERTAIN_LABEL_CONFIDENCE = 0.95  # confidence from which a label is certain
 
@@ -72,9 +73,10 @@ def describe_labelling(take: Take, expected_labels: tuple[str, ...] = ()) -> lis
 
 
 def _list_unlabelled(take: Take) -> list[UnlabelledEntry]:
-    """Return the trajectories without a label, and those that keep a label without a meaning."""
-    entries: list[UnlabelledEntry] = []
-    parts = [(take, take.visible.any(0) & ~_find_labelled_markers(take))]
+    """Return the trajectories without a label, and those that keep a label without a meaning: in no set that fits the take."""
+    entries, is_kept = list[UnlabelledEntry](), take.visible.any(0) & ~_find_labelled_markers(take)
+    has_meaning = choose_marker_set([take.labels[m] for m in np.flatnonzero(is_kept)]).marker_set is not None
+    parts = [] if has_meaning else [(take, is_kept)]
     parts += [(take.unlabelled, take.unlabelled.visible.any(0))] if take.unlabelled else []
     for part, is_listed in parts:
         for u in np.flatnonzero(is_listed):

@@ -378,6 +378,16 @@ def _apply_labels_of_set(take: Take, points: FilePoints, labels: PointLabels, ma
     return replace(labelled, notes=(*labelled.notes, *notes))
 
 
+def label_unlabelled(take: Take, labels: PointLabels, names: Sequence[str], read_options: ReadOptions) -> Take:
+    """Return a take whose unlabelled trajectories have labels, without the name of the subject, and those of its markers."""
+    assert take.unlabelled is not None
+    points = FilePoints(take.unlabelled.markers, take.unlabelled.point_indices, read_options=read_options)
+    prefix = take.labels[0].removesuffix(take.bare_labels[0]) if take.labels else ""
+    labelled = apply_labels(take, points, labels, tuple(prefix + name for name in names))
+    labelled = replace(labelled, subject_prefixes=take.subject_prefixes)
+    return replace(labelled, notes=(*labelled.notes, *describe_labelling(labelled, tuple(names))))
+
+
 def describe_missing_labels(take: Take, result: Take) -> str:
     """Return why `label_take` gave a take no labels and returned it as `result`."""
     if collect_unlabelled_points(take) is not None:

@@ -1,16 +1,21 @@
 """Labels of finger markers: exchanges with known answers are undone, clean hands stay as they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from mocapfix.hands.finger_labels import cut_unseen_changes, find_finger_faults
+from mocapfix.hands.finger_labels import cut_unseen_changes, find_finger_faults, label_unlabelled_fingers, may_show_fingers
 from mocapfix.hands.finger_markers import SIDES
 from mocapfix.hands.hand_model import HAND_JOINTS
 from mocapfix.hands.solve_hands import trace_palm
+from mocapfix.io.c3d import write_c3d
 from mocapfix.labels.label_swaps import undo_label_exchanges
 from mocapfix.model.take import Take
+from mocapfix.pipeline import label
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.stats.rigid_alignment import compute_rotations
+from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import compose_motion, draw_subject
 from tests.hands.composed_hands import RATE_HZ, build_hand, carry_markers
 
@@ -102,3 +107,55 @@ def test_a_tracklet_ends_where_its_label_changes_unseen():
     np.testing.assert_array_equal(cut_unseen_changes(seen, seen >= 0), seen)
     unseen = np.array([[0, -1], [0, -1], [-1, 0], [-1, 0]])  # it may be another point
     np.testing.assert_array_equal(cut_unseen_changes(unseen, unseen >= 0), [[0, -1], [0, -1], [-1, 1], [-1, 1]])
+
+
+def hide_labels(take, subject, dropped=()):
+    """Return the take with the labels of its body, and its finger markers in another order without theirs, and these."""
+    fingers = [m for m in range(len(subject.labels), len(take.labels)) if take.labels[m] not in dropped]
+    order = np.random.default_rng(0).permutation(fingers)
+    unlabelled = Take(take.markers[:, order], tuple(f"*{n}" for n in range(len(order))), RATE_HZ)
+    of_body = np.arange(len(subject.labels))
+    labelled = Take(take.markers[:, of_body], take.labels[: len(of_body)], RATE_HZ, unlabelled=unlabelled)
+    return labelled, [take.labels[m] for m in order]
+
+
+def test_fingers_without_labels_get_those_of_their_set(body):
+    subject, motion, take = body
+    hidden, truth = hide_labels(take, subject)
+    assert may_show_fingers(hidden, load_marker_set("frontwaist53"))
+    labels, names = label_unlabelled_fingers(hidden, subject, motion)
+    for column, name in enumerate(truth):
+        assert {names[m] for m in labels.marker_indices[:, column]} == {name}
+    assert (labels.confidence > 0.8).all()
+
+
+def test_points_that_are_no_finger_set_keep_no_label(body):
+    subject, motion, take = body
+    hidden, _ = hide_labels(take, subject, {f"{side}{name}" for side in "LR" for name in TIPS[:3]})  # two a hand
+    assert label_unlabelled_fingers(hidden, subject, motion) is None
+
+
+def test_hands_with_finger_labels_and_bodies_without_points_near_them_show_no_unlabelled_fingers(body):
+    subject, _, take = body
+    hidden, _ = hide_labels(take, subject)
+    marker_set = load_marker_set("frontwaist53")
+    assert not may_show_fingers(take, marker_set)
+    assert not may_show_fingers(replace(take, unlabelled=hidden.unlabelled), marker_set)
+    far = replace(hidden.unlabelled, markers=hidden.unlabelled.markers + 1.0)
+    assert not may_show_fingers(replace(hidden, unlabelled=far), marker_set)
+    assert not may_show_fingers(hidden, load_marker_set("cmu41"))
+
+
+def test_a_file_with_a_labelled_body_is_labelled_to_the_tips(body, tmp_path):
+    subject, _, take = body
+    hidden, truth = hide_labels(take, subject)
+    path = tmp_path / "walk.c3d"
+    write_c3d(path, hidden)
+    labelled = label(path)
+    assert set(labelled.labels) == {*subject.labels, *truth}
+    for name in take.labels:
+        np.testing.assert_allclose(
+            labelled.markers[:, labelled.labels.index(name)], take.markers[:, take.labels.index(name)], atol=1e-5
+        )
+    assert "Labelled by mocapfix: 2400 samples of 10 markers." in labelled.notes
+    assert not any("Left without a label" in note for note in labelled.notes)
