@@ -241,8 +241,8 @@ def measure_finger_fills(
                 path = Path(folder) / "hands.c3d"
                 write_c3d(path, truth.take.select(kept, truth.take.visible))
                 [subject] = plan_subject(path, CleanOptions(), "hands.c3d")
-            take, fitted = subject.whole, subject.fit()
-            filled = next(fitted.fill_gaps([()], CleanOptions())).take
+                take, fitted = subject.whole, subject.fit()
+                filled = next(fitted.fill_gaps([()], CleanOptions())).take
             for hand in truth.hands.values():
                 for name, rows in compare_fills(hand, take, filled).items():
                     found[count, name] += rows
