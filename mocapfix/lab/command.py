@@ -287,6 +287,22 @@ def run_bench_retarget(
     return print_results(results, as_json)
 
 
+def run_bench_robot(
+    robots: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE|FOLDER", help="robots (.xml, .urdf), or folders with .xml")],
+    takes: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="TAKE", help="captures of whole bodies")],
+    as_json: JsonOption = False,
+) -> int:
+    """Compare robots with the performer, and measure their feet, limits, collisions and speed; beside mink if it is installed.
+
+    Frames a second are by processor time, of the retargeting alone. Shares are of frames.
+    """
+    from mocapfix.lab.robots import measure_robots
+
+    with show_progress("robot") as progress:
+        rows = measure_robots(robots, takes, progress)
+    return print_results(rows, as_json)
+
+
 def run_bench_conventions(
     takes: TakesArgument,
     cleans: Annotated[int, tyro.conf.arg(metavar="N", help="clean each C3D in N random axes as well")] = 0,
@@ -465,6 +481,7 @@ BENCH_COMMANDS = {
     "hybrik": run_bench_hybrik,
     "prior": run_bench_prior,
     "retarget": run_bench_retarget,
+    "robot": run_bench_robot,
     "session": run_bench_session,
     "contacts": run_bench_contacts,
     "conventions": run_bench_conventions,

@@ -101,7 +101,7 @@ def _iterate_results(folder: Path | None, captures: Path | None, options: CleanO
         for name, take in iterate_sound_takes(folder, MAX_PERFORMED if folder else COMPOSED):
             yield name, clean_composed_take(take, options)
         return
-    for path in sorted(captures.rglob("*.c3d")):
+    for path in sorted(captures.rglob("*.c3d")) if captures.is_dir() else [captures]:
         try:
             result = pipeline.clean(path, options)
         except MocapfixError:

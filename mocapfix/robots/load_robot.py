@@ -33,7 +33,7 @@ def load_robot(path: str | Path) -> Robot:
         SceneError: If it is not a robot of hinges and slides.
     """
     path = Path(path)
-    model, notes = _compile_model(path)
+    model, notes = compile_model(path)
     links = _list_links(model, path)
     index = {body: link for link, body in enumerate(links)}
     joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in index and model.jnt_type[j] != FREE]
@@ -65,7 +65,7 @@ def load_robot(path: str | Path) -> Robot:
     )
 
 
-def _compile_model(path: Path) -> tuple[Any, list[str]]:
+def compile_model(path: Path) -> tuple[Any, list[str]]:
     """Return MuJoCo's model, and sentences on what was changed."""
     try:
         mujoco: Any = importlib.import_module("mujoco")
@@ -204,13 +204,13 @@ def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
         (i, j)
         for i, one in enumerate(capsules)
         for j, other in enumerate(capsules[:i])
-        if one[4] == other[4] and _may_collide(model, one[0], other[0])
+        if one[4] == other[4] and may_collide(model, one[0], other[0])
     ]
     box_pairs = [
         (i, j)
         for i, one in enumerate(capsules)
         for j, other in enumerate(boxes)
-        if not one[4] and _may_collide(model, one[0], other[0])
+        if not one[4] and may_collide(model, one[0], other[0])
     ]
     return CollisionPrimitives(
         np.array([index[int(model.geom_bodyid[each[0]])] for each in capsules], int),
@@ -225,7 +225,7 @@ def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
     )
 
 
-def _may_collide(model: Any, first: int, second: int) -> bool:
+def may_collide(model: Any, first: int, second: int) -> bool:
     """Return whether two shapes may collide: by the file, and by the number of joints between their links."""
     links = int(model.geom_bodyid[first]), int(model.geom_bodyid[second])
     types, affinities = model.geom_contype[[first, second]], model.geom_conaffinity[[first, second]]

@@ -129,7 +129,7 @@ def retarget_to_robot(
     found = solve_windows(body, standing, costs, found, stages)
     points = found.points.copy()
     points[:, ROOT_UNKNOWNS:] = np.clip(points[:, ROOT_UNKNOWNS:], *costs.limits.T)
-    return compose_robot_motion(body, replace(found, points=points))
+    return compose_robot_motion(body, rate, found.references, found.basis.evaluate(points))
 
 
 def build_control_costs(body: RobotBody, posture: Float[np.ndarray, " U"], limit_sd: float, posture_sd: float) -> ControlCosts:
@@ -236,10 +236,11 @@ def solve_windows(
         first = stop - overlap
 
 
-def compose_robot_motion(body: RobotBody, found: Trajectory) -> RobotMotion:
-    """Return the motion of a trajectory."""
-    tree, unknowns = body.tree, found.unknowns
-    links = np.arange(len(tree.parents))
-    positions, rotations = place_points(tree, found.references, unknowns, links, np.zeros((len(links), 3)))
+def compose_robot_motion(
+    body: RobotBody, rate: float, references: Float[np.ndarray, "T 3 3"], unknowns: Float[np.ndarray, "T D"]
+) -> RobotMotion:
+    """Return the motion of unknowns, as `kernels.hinged_tree` takes them."""
+    tree, links = body.tree, np.arange(len(body.tree.parents))
+    positions, rotations = place_points(tree, references, unknowns, links, np.zeros((len(links), 3)))
     joints = tree.offsets + tree.factors * unknowns[:, ROOT_UNKNOWNS + tree.unknowns] + body.robot.zero_positions
-    return RobotMotion(body.robot, found.basis.rate, found.references, unknowns, joints, positions, rotations)
+    return RobotMotion(body.robot, rate, references, unknowns, joints, positions, rotations)

@@ -112,14 +112,7 @@ class RobotFigures(NamedTuple):
 
 def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMotion) -> RobotFigures:
     """Return the figures of a motion."""
-    line, count = targets.terms.line, len(body.map.limbs)
-    ends = [
-        motion.link_positions[:, line.links[:count, k]]
-        + np.einsum("tlij,lj->tli", motion.link_rotations[:, line.links[:count, k]], line.offsets[:count, k])
-        for k in (0, 1)
-    ]
-    vectors = ends[1] - ends[0]
-    cosines = (vectors * line.directions[:, :count]).sum(axis=2) / np.linalg.norm(vectors, axis=2)
+    cosines = (compute_limb_directions(body, motion) * targets.terms.line.directions[:, : len(body.map.limbs)]).sum(axis=2)
     angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
     gaps = np.minimum(motion.joint_positions - body.robot.limits[:, 0], body.robot.limits[:, 1] - motion.joint_positions)
     ratio = np.abs(motion.joint_velocities).max(axis=0) / body.speed_limits
@@ -134,6 +127,15 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
         float((depths > OVERLAP_M).mean()),
         float(depths.max()),
     )
+
+
+def compute_limb_directions(body: RobotBody, motion: RobotMotion) -> Float[np.ndarray, "T S 3"]:
+    """Return the directions of the robot's limbs in the order of its map."""
+    near, far = (
+        np.stack([motion.link_positions[:, p.link] + motion.link_rotations[:, p.link] @ p.position for p in points], axis=1)
+        for points in zip(*body.map.limbs.values(), strict=True)
+    )
+    return (far - near) / np.linalg.norm(far - near, axis=2, keepdims=True)
 
 
 def build_robot_arrays(motion: RobotMotion) -> dict[str, np.ndarray]:
