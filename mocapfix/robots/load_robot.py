@@ -73,8 +73,8 @@ def compile_model(path: Path) -> tuple[Any, list[str]]:
         raise ReadError(f"{path.name}: robots need MuJoCo; install it with: pip install 'mocapfix[robot]'.") from None
     notes: list[str] = []
     try:
-        spec: Any = mujoco.MjSpec.from_file(str(path))
         is_urdf = ElementTree.parse(path).getroot().tag == "robot"
+        spec: Any = mujoco.MjSpec.from_file(str(path))
         spec.compiler.fusestatic = False
         spec.compiler.boundmass = spec.compiler.boundinertia = SMALLEST_MASS
         bodies = spec.worldbody.bodies
@@ -120,14 +120,11 @@ def _read_speed_limits(path: Path, names: list[str]) -> tuple[np.ndarray, str]:
     for candidate in [path, *(each for each in sorted(path.parent.glob("*.urdf")) if each != path)]:
         try:
             root = ElementTree.parse(candidate).getroot()
-        except (OSError, ElementTree.ParseError):
+            joints = root.iter("joint") if root.tag == "robot" else ()
+            stated = {each.get("name"): float(limit.get("velocity", 0)) for each in joints for limit in each.iter("limit")}
+        except (OSError, ValueError, ElementTree.ParseError):
             continue
-        stated: dict[str, float] = {}
-        for joint in root.iter("joint") if root.tag == "robot" else ():
-            limit = joint.find("limit")
-            if limit is not None and float(limit.get("velocity") or 0) > 0:
-                stated[joint.get("name") or ""] = float(limit.get("velocity") or 0)
-        if stated and set(names) <= set(stated):
+        if all(stated.get(name, 0.0) > 0.0 for name in names):
             source = "" if candidate == path else f"Its speed limits are those of {candidate.name}."
             return np.array([stated[name] for name in names]), source
     return np.full(len(names), np.inf), "It states no speed limits; a URDF beside it with the same joints would."
@@ -137,9 +134,11 @@ def _list_couplings(model: Any, joints: list[int], path: Path) -> tuple[tuple[in
     """Return the joints that follow others: follower, leader, offset and factor."""
     place, zero = {joint: k for k, joint in enumerate(joints)}, model.qpos0[model.jnt_qposadr]
     found: dict[int, tuple[int, int, float, float]] = {}
-    for k in range(model.neq):
+    equalities = [k for k in range(model.neq) if model.eq_type[k] == JOINT_EQUALITY and int(model.eq_obj1id[k]) in place]
+    free = [joint for joint in joints if joint not in model.eq_obj1id[equalities]]
+    for k in equalities:
         follower, leader = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-        if model.eq_type[k] != JOINT_EQUALITY or follower not in place or (leader >= 0 and leader not in place):
+        if leader >= 0 and leader not in place:
             continue
         offset, factor, *higher = model.eq_data[k, :5]
         if np.any(higher):
@@ -147,7 +146,7 @@ def _list_couplings(model: Any, joints: list[int], path: Path) -> tuple[tuple[in
             raise SceneError(
                 f"{path.name}: joint {name} follows another one by a polynomial; only a linear coupling can be used."
             )
-        leader = leader if leader >= 0 else next(joint for joint in joints if joint != follower)
+        leader = leader if leader >= 0 else free[0]  # of a joint that is locked: any, by a factor of 0
         factor = factor if model.eq_obj2id[k] >= 0 else 0.0
         found[place[follower]] = (
             place[follower],

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from mocapfix.animations.repair_methods import make_quaternions_continuous
 from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.robots.robot import Robot
@@ -170,7 +171,7 @@ def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " 
         rotation._replace(rotations=np.ascontiguousarray(turns)),
         frame.collision._replace(pairs=none, box_pairs=none),
     )
-    standing = body.map.standing[list_leaders(body.tree)]
+    standing = body.map.standing[list_leaders(body.robot)]
     costs = build_control_costs(body, standing, LIMIT_SEARCH_SD_RAD, POSTURE_SEARCH_SD_RAD)
     random, basis = np.random.default_rng(0), build_spline_basis(1, POSTURE_RATE, 1)
     low, high = np.clip(costs.limits, -np.pi, np.pi).T
@@ -189,11 +190,9 @@ def find_start(body: RobotBody, targets: RobotTargets) -> Trajectory:
     """Return the easy posture carried along the path, turned as the performer's pelvis."""
     count = len(targets.hips)
     basis = build_spline_basis(count, targets.rate, max(1, round(targets.rate / CONTROL_RATE)))
-    quaternions = Rotation.from_matrix(targets.pelvis).as_quat()
-    signs = np.cumprod(np.sign(np.concatenate([[1.0], (quaternions[1:] * quaternions[:-1]).sum(axis=1)])))
-    references = Rotation.from_quat(basis.evaluate(basis.fit(quaternions * signs[:, None]))).as_matrix()
-    references = np.ascontiguousarray(references)
-    points = np.zeros((basis.point_count, ROOT_UNKNOWNS + len(body.map.standing[list_leaders(body.tree)])))
+    quaternions = make_quaternions_continuous(Rotation.from_matrix(targets.pelvis).as_quat())
+    references = np.ascontiguousarray(Rotation.from_quat(basis.evaluate(basis.fit(quaternions))).as_matrix())
+    points = np.zeros((basis.point_count, ROOT_UNKNOWNS + len(body.map.standing[list_leaders(body.robot)])))
     points[:, :3] = basis.fit(targets.hips - references @ body.hip_centre)
     points[:, ROOT_UNKNOWNS:] = find_posture(body, targets)
     return Trajectory(basis, references, points)
@@ -219,16 +218,7 @@ def solve_windows(
         frame = first * basis.interval
         terms = targets.select_frames(slice(frame, frame + len(window.references)))
         for stage in stages:
-            window, _ = minimise_trajectory(
-                body.tree,
-                terms,
-                costs,
-                window,
-                frame_step=stage.frame_step,
-                max_iterations=stage.max_iterations,
-                min_decrease=stage.min_decrease,
-                damping=stage.damping,
-            )
+            window, _ = minimise_trajectory(body.tree, terms, costs, window, **stage._asdict())
         share = np.clip((np.arange(stop - first) + 1.0) / (overlap + 1.0), 0.0, 1.0)[:, None] if first else 1.0
         points[first:stop] = (1.0 - share) * points[first:stop] + share * window.points
         if stop == count:

@@ -76,7 +76,7 @@ class RobotMap:
     """Which links form the body of a robot; all rotations are relative to the robot at zero angles.
 
     Attributes:
-        limbs: Segment (of LIMBS) to the points from which and to which it runs. A robot may lack some: its forearms, say.
+        limbs: Segment (of LIMBS) to the points from which and to which it runs.
         hips: Side to the point about which the leg turns.
         feet: Side to the link of the foot.
         soles: Side to the corners of the sole, in the order of SOLE_CORNERS, in the axes of the foot's link, metres.

@@ -28,6 +28,7 @@ from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_
 from mocapfix.robots.robot_map import find_robot_map, read_robot_map, write_robot_map
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets
 from mocapfix.solve.trajectory import compute_hinged_costs
+from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 
 AT_LIMIT_RAD = 0.005  # distance from a limit within which a joint counts as at it
 OVERLAP_M = 0.005  # depth from which parts that overlap count as colliding
@@ -174,15 +175,10 @@ def _compute_quaternions(rotations: Float[np.ndarray, "T L 3 3"]) -> Float[np.nd
 
 
 def _compute_angular_velocities(rotations: Float[np.ndarray, "T L 3 3"], rate: float) -> Float[np.ndarray, "T L 3"]:
-    """Return the rotation over two frames by their time, in the world; the ends have the values beside them."""
-    frames, links = rotations.shape[:2]
-    velocities = np.zeros((frames, links, 3))
-    if frames > 2:
-        turns = rotations[2:] @ np.swapaxes(rotations[:-2], 2, 3)
-        vectors = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(frames - 2, links, 3)
-        velocities[1:-1] = vectors * (0.5 * rate)
-        velocities[[0, -1]] = velocities[[1, -2]]
-    return velocities
+    """Return central differences of rotations in the world, radians per second; of a single frame 0."""
+    before, after = (np.clip(np.arange(len(rotations)) + step, 0, len(rotations) - 1) for step in (-1, 1))
+    vectors = compute_rotation_vectors(rotations[after] @ np.swapaxes(rotations[before], 2, 3))
+    return vectors * (rate / np.maximum(after - before, 1))[:, None, None]
 
 
 def write_robot_csv(target: Path, motion: RobotMotion) -> None:

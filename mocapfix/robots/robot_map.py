@@ -11,10 +11,11 @@ farthest is the arm.
 - A shin ends at the ankle; a forearm at the wrist, at the last of its joints across it, or where the arm ends.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from types import MappingProxyType
+from typing import Annotated, Literal
 
 import numpy as np
 import yaml
@@ -25,7 +26,7 @@ from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.robots.robot import LIMBS, SIDES, LinkPoint, Robot, RobotMap
-from mocapfix.robots.robot_targets import build_hinged_tree, pose_links
+from mocapfix.robots.robot_targets import build_hinged_tree, list_leaders, pose_links
 from mocapfix.solve.trajectory import HingedTree
 
 MIN_SIDE_M = 0.02  # distance from the middle from which the end of a limb is on a side
@@ -33,6 +34,8 @@ MIN_LATERAL_COSINE = 0.8  # between the axis of a knee and the lateral axis
 MAX_ACROSS_COSINE = 0.7  # between a limb and the axis of a joint across it
 MIN_ALONG_COSINE = 0.99  # between a limb and the axis about which it twists, from which this axis is in the middle of the limb
 WRIST_EXTENT_M = 0.05  # largest distance between the joints of one wrist
+MAX_HEEL_SHARE = 0.05  # of twice the length of a sole: so far its middle may be behind the ankle
+MIN_LIMB_M, MIN_SOLE_M2 = 0.01, 1e-4  # smallest length of a limb, and area of a sole times four
 SOLE_DEPTH_M = 0.008  # height above the lowest point of a foot up to which points belong to the sole
 
 
@@ -87,14 +90,12 @@ class StandingRobot:
         return np.array(points).reshape(-1, 3)
 
 
-def stand_robot(robot: Robot) -> StandingRobot:
-    """Return a robot at zero joint positions, or at the nearest within their limits."""
-    tree = build_hinged_tree(robot)
-    standing = np.clip(np.zeros(len(robot.joint_names)), *robot.limits.T)
-    unknowns = np.zeros(tree.unknowns.max(initial=-1) + 1)
-    unknowns[tree.unknowns[::-1]] = standing[::-1]
-    links = np.arange(len(robot.parents))
-    return StandingRobot(robot, tree, standing, *pose_links(tree, unknowns, links, np.zeros((len(links), 3))))
+def stand_robot(robot: Robot, positions: Mapping[str, float] = MappingProxyType({})) -> StandingRobot:
+    """Return a robot at joint positions by name, others zero, or at the nearest within their limits."""
+    tree, count = build_hinged_tree(robot), len(robot.parents)
+    standing = np.clip([positions.get(name, 0.0) for name in robot.joint_names], *robot.limits.T)
+    placed = pose_links(tree, standing[list_leaders(robot)], np.arange(count), np.zeros((count, 3)))
+    return StandingRobot(robot, tree, standing, *placed)
 
 
 def find_robot_map(robot: Robot) -> RobotMap:
@@ -117,13 +118,31 @@ def find_robot_map(robot: Robot) -> RobotMap:
         points |= arm_points
         if hand is not None:
             hands[side] = hand
-    if min(float(body.rotations[feet[side]][0] @ (soles[side][2:].mean(0) - soles[side][:2].mean(0))) for side in SIDES) <= 0:
-        raise SceneError(f"{robot.name}: the robot does not look along X; give --character-map with its body.")
     pelvis, trunk = (_find_base_link(body, limbs[f"{SIDES[0]}_{limb}"][0]) for limb in ("leg", "arm"))
     heads = [link for link in robot.joint_links[neck_joints].tolist() if trunk in _list_above(robot, link)]
     head = max(heads, key=lambda link: float(body.positions[link][2]), default=trunk)
     hips = {side: points[f"{side}_thigh"][0] for side in SIDES}
-    return RobotMap(points, hips, feet, soles, pelvis, trunk, head, hands, body.standing, "Found by the structure of the robot.")
+    reason = "Found by the structure of the robot."
+    found = RobotMap(points, hips, feet, soles, pelvis, trunk, head, hands, body.standing, reason)
+    _check_map(body, found, robot.name)
+    return found
+
+
+def _check_map(body: StandingRobot, found: RobotMap, source: str) -> None:
+    """Raise SceneError if a limb has no direction, or if a sole is not flat and ahead, in the axes of the root."""
+    for name, (near, far) in found.limbs.items():
+        length_m = float(np.linalg.norm(body.place(far) - body.place(near)))
+        if near.link not in _list_above(body.robot, far.link) or length_m < MIN_LIMB_M:
+            raise SceneError(f"{source}: {name} must run from a point to another one, of the same link or one below it.")
+    for side in SIDES:
+        heel_left, heel_right, toe_left, toe_right = found.soles[side] @ body.rotations[found.feet[side]].T
+        forward, leftward = toe_left + toe_right - heel_left - heel_right, heel_left + toe_left - heel_right - toe_right
+        if np.cross(forward, leftward)[2] < MIN_SOLE_M2:
+            raise SceneError(f"{source}: the corners of the {side} sole must be those of heel and toe, left before right.")
+        ankle = body.place(found.limbs[f"{side}_shin"][1]) - body.positions[found.feet[side]]
+        ahead_m = float(np.mean([heel_left, heel_right, toe_left, toe_right], axis=0)[0] - ankle[0])
+        if forward[0] <= abs(forward[1]) or ahead_m < -MAX_HEEL_SHARE * forward[0]:
+            raise SceneError(f"{source}: the {side} foot must point along X in the axes of the root, as the robot looks.")
 
 
 def _list_above(robot: Robot, link: int) -> list[int]:
@@ -166,7 +185,7 @@ def _find_limbs(body: StandingRobot) -> tuple[dict[str, list[int]], list[int]]:
         chains = [chain for chain in chains if len(chain) > 1]
         if len(chains) < 2:
             raise SceneError(
-                f"{robot.name}: an arm and a leg on the {side} were not found; a robot needs both, or give --character-map."
+                f"{robot.name}: found no arm and leg on the {side}; a robot has both and looks along X, or give --character-map."
             )
         leg = min(chains, key=lambda chain: body.find_anchor(chain[-1])[2])
         arms = [chain for chain in chains if chain is not leg]
@@ -285,6 +304,7 @@ def _find_sole(body: StandingRobot, foot: int) -> Float[np.ndarray, "4 3"]:
     return np.array([body.attach(foot, corner).position for corner in corners])
 
 
+Side = Literal["left", "right"]
 Coordinates = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
@@ -308,10 +328,10 @@ class RobotMapFile(StrictModel):
     pelvis: str
     trunk: str
     head: str
-    hands: dict[str, str] = Field(default_factory=dict)
+    hands: dict[Side, str] = Field(default_factory=dict)
     limbs: dict[str, Annotated[list[PointFile], Field(min_length=2, max_length=2)]]
-    hips: dict[str, PointFile]
-    feet: dict[str, FootFile]
+    hips: dict[Side, PointFile]
+    feet: dict[Side, FootFile]
     standing: dict[str, float] = Field(default_factory=dict)  # joint positions that are not zero
 
 
@@ -327,14 +347,14 @@ def read_robot_map(path: Path, robot: Robot) -> RobotMap:
     def convert(point: PointFile) -> LinkPoint:
         return LinkPoint(find(point.link), np.array(point.position))
 
-    if missing := [key for key in (*LIMBS,) if key not in content.limbs]:
-        raise SceneError(f"{path.name}: limbs: {missing[0]} is missing.")
+    if wrong := sorted({*LIMBS} ^ {*content.limbs}):
+        raise SceneError(f"{path.name}: limbs must be {', '.join(LIMBS)}; {wrong[0]} is missing or none of them.")
     if missing := [side for side in SIDES if side not in content.hips or side not in content.feet]:
         raise SceneError(f"{path.name}: hips and feet must have {missing[0]}.")
     if unknown := [name for name in content.standing if name not in robot.joint_names]:
         raise SceneError(f"{path.name}: standing: {robot.name} has no joint {unknown[0]}.")
-    standing = np.array([content.standing.get(name, 0.0) for name in robot.joint_names])
-    return RobotMap(
+    body = stand_robot(robot, content.standing)
+    found = RobotMap(
         {name: (convert(content.limbs[name][0]), convert(content.limbs[name][1])) for name in LIMBS},
         {side: convert(content.hips[side]) for side in SIDES},
         {side: find(content.feet[side].link) for side in SIDES},
@@ -343,9 +363,11 @@ def read_robot_map(path: Path, robot: Robot) -> RobotMap:
         find(content.trunk),
         find(content.head),
         {side: find(name) for side, name in content.hands.items()},
-        np.clip(standing, *robot.limits.T),
+        body.standing,
         f"Read from {path.name}.",
     )
+    _check_map(body, found, path.name)
+    return found
 
 
 def write_robot_map(target: Path, robot: Robot, robot_map: RobotMap) -> None:

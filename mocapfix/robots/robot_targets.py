@@ -43,10 +43,8 @@ FLOOR_SEARCH_SD_M, COLLISION_SEARCH_SD_M = 0.01, 0.02
 
 def build_hinged_tree(robot: Robot) -> HingedTree:
     """Return the links and joints as the kernels take them; joints that follow others have their unknowns."""
-    count = len(robot.joint_names)
+    count, place = len(robot.joint_names), {joint: k for k, joint in enumerate(list_leaders(robot).tolist())}
     followed = {follower: (leader, offset, factor) for follower, leader, offset, factor in robot.couplings}
-    leaders = [joint for joint in range(count) if joint not in followed]
-    place = {joint: k for k, joint in enumerate(leaders)}
     unknowns = np.array([place[followed[joint][0] if joint in followed else joint] for joint in range(count)], int)
     factors = np.array([followed[joint][2] if joint in followed else 1.0 for joint in range(count)])
     offsets = np.array([followed[joint][1] if joint in followed else 0.0 for joint in range(count)])
@@ -63,10 +61,9 @@ def build_hinged_tree(robot: Robot) -> HingedTree:
     )  # fmt: skip
 
 
-def list_leaders(tree: HingedTree) -> Int[np.ndarray, " U"]:
-    """Return the joint that each unknown is the position of."""
-    is_leader = (tree.factors == 1.0) & (np.diff(tree.unknowns, prepend=-1) > 0)
-    return np.array([np.flatnonzero(is_leader & (tree.unknowns == k))[0] for k in range(tree.unknowns.max(initial=-1) + 1)], int)
+def list_leaders(robot: Robot) -> Int[np.ndarray, " U"]:
+    """Return the joint that each unknown is the position of: those that follow no other."""
+    return np.setdiff1d(np.arange(len(robot.joint_names)), [follower for follower, *_ in robot.couplings])
 
 
 def pose_links(
@@ -137,12 +134,12 @@ class RobotBody:
 
     def measure_standing(self, point: LinkPoint) -> Float[np.ndarray, " 3"]:
         """Return where a point is in the upright stance, relative to the root, in its axes, in metres."""
-        standing = self.map.standing[list_leaders(self.tree)]
+        standing = self.map.standing[list_leaders(self.robot)]
         return pose_links(self.tree, standing, np.array([point.link]), point.position[None])[0][0]
 
     def turn_standing(self, link: int) -> Float[np.ndarray, "3 3"]:
         """Return the rotation of a link in the upright stance, to the root's axes."""
-        standing = self.map.standing[list_leaders(self.tree)]
+        standing = self.map.standing[list_leaders(self.robot)]
         return pose_links(self.tree, standing, np.array([link]), np.zeros((1, 3)))[1][0]
 
     @property
@@ -163,13 +160,9 @@ class RobotBody:
     @property
     def ankle_height_m(self) -> float:
         """Height of the ends of the shins above flat soles."""
-        heights: list[float] = []
-        for side, sole in self.soles.items():
-            ankle = self.map.limbs[f"{side}_shin"][1]
-            heights.append(
-                float((self.measure_standing(ankle) - self.measure_standing(LinkPoint(sole.link, sole.corners.mean(0))))[2])
-            )
-        return float(np.mean(heights))
+        ankles = [self.measure_standing(self.map.limbs[f"{side}_shin"][1])[2] for side in self.soles]
+        soles = [self.measure_standing(LinkPoint(sole.link, sole.corners.mean(axis=0)))[2] for sole in self.soles.values()]
+        return float(np.mean(ankles) - np.mean(soles))
 
 
 def build_robot_body(robot: Robot, robot_map: RobotMap) -> RobotBody:
@@ -205,15 +198,13 @@ class RobotTargets:
 
     def isolate_collisions(self) -> HingedTerms:
         """Return terms whose cost is half the sum of the squared depths of parts that overlap, in metres."""
-        none, empty = np.zeros((0, 3)), np.zeros((len(self.hips), 0))
-        nowhere = np.zeros((len(self.hips), 0, 3))
-        links = np.zeros(0, int)
+        place, floor, line, rotation, collision = self.terms
         return HingedTerms(
-            PlaceTerm(links, none, nowhere, nowhere),
-            FloorTerm(links, none, np.zeros(0), 1.0),
-            LineTerm(np.zeros((0, 2), int), np.zeros((0, 2, 3)), nowhere, empty),
-            LinkRotationTerm(links, np.zeros((len(self.hips), 0, 3, 3)), empty),
-            self.terms.collision._replace(distance=0.0, weight=1.0),
+            place._replace(weights=np.zeros_like(place.weights)),
+            floor._replace(weight=0.0),
+            line._replace(weights=np.zeros_like(line.weights)),
+            rotation._replace(weights=np.zeros_like(rotation.weights)),
+            collision._replace(distance=0.0, weight=1.0),
         )
 
     def select_frames(self, frames: slice) -> HingedTerms:
