@@ -6,7 +6,7 @@ has them, and x y z w in CSV and pickle.
 
 import json
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from mocapfix.animations.repair_methods import make_quaternions_continuous
 from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import build_cmu31_character, convert_motion
 from mocapfix.characters.kept_positions import resample_foot_contacts
@@ -55,19 +56,20 @@ class RobotFiles:
     def write(
         self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None, frames: slice
     ) -> list[str]:
-        """Write the motion of a solved skeleton as the robot's. Returns sentences for the report.
+        """Write some frames of the motion of a solved skeleton, of `rate` frames per second, as the robot's.
 
-        Raises WriteError if a file is not writable, or if no frame is left.
+        Returns sentences for the report on these frames. The contacts may have another rate. Raises WriteError if a file is not
+        writable, or if no frame is left.
         """
         source = build_body_frame(build_cmu31_character(skeleton))
         segments = compute_segment_motion(source, convert_motion(motion, rate))
         feet = None if contacts is None else resample_foot_contacts(contacts, motion.frame_count, rate)
         moved = retarget_to_robot(self.body, source, segments, feet, rate)
-        targets = compute_robot_targets(self.body, source, segments, feet, rate)
-        figures = measure_robot_motion(self.body, targets, moved)
         moved = moved.select_frames(frames)
         if not len(moved.root_position):
             raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
+        targets = compute_robot_targets(self.body, source, segments, feet, rate)
+        figures = measure_robot_motion(self.body, replace(targets, terms=targets.select_frames(frames)), moved)
         arrays = build_robot_arrays(moved)
         if feet is not None:
             arrays |= {"contact_joints": np.array(feet.joints), "contacts": feet.is_contact[frames]}
@@ -166,12 +168,9 @@ def build_robot_arrays(motion: RobotMotion) -> dict[str, np.ndarray]:
 
 
 def _compute_quaternions(rotations: Float[np.ndarray, "T L 3 3"]) -> Float[np.ndarray, "T L 4"]:
-    """Return w x y z without jumps of the sign over time."""
-    frames, links = rotations.shape[:2]
-    found = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(frames, links, 4)[..., [3, 0, 1, 2]]
-    turned = (found[1:] * found[:-1]).sum(axis=2) < 0
-    signs = np.concatenate([np.where(found[:1, :, 0] < 0, -1, 1), np.where(turned, -1, 1)])
-    return found * np.cumprod(signs, axis=0)[..., None]
+    """Return w x y z without jumps of the sign over time; in the first frame w is not negative."""
+    links = [Rotation.from_matrix(rotations[:, link]).as_quat(canonical=True) for link in range(rotations.shape[1])]
+    return np.stack([make_quaternions_continuous(each) for each in links], axis=1)[..., [3, 0, 1, 2]]
 
 
 def _compute_angular_velocities(rotations: Float[np.ndarray, "T L 3 3"], rate: float) -> Float[np.ndarray, "T L 3"]:

@@ -197,7 +197,7 @@ class RobotTargets:
         return replace(self, terms=terms)
 
     def isolate_collisions(self) -> HingedTerms:
-        """Return terms whose cost is half the sum of the squared depths of parts that overlap, in metres."""
+        """Return terms whose cost is half the sum of the squared depths of parts that overlap, in square metres."""
         place, floor, line, rotation, collision = self.terms
         return HingedTerms(
             place._replace(weights=np.zeros_like(place.weights)),
