@@ -1,15 +1,18 @@
 """The pages of the gallery: pictures of the review page, the report and the session page."""
 
+import io
 import subprocess
 import sys
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import chdir, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 import yaml
-from gallery_scene import Studio, compute_error_mm, save_page
+from gallery_scene import PAGE_FRAME, PICTURES, Studio, compute_error_mm, save_page
+from PIL import Image
 from playwright.sync_api import Page, ViewportSize
 
 from mocapfix.cli.commands import run_demo
@@ -27,19 +30,23 @@ SESSION_SIZES: dict[str, ViewportSize] = {
     "session-page-before": {"width": 1200, "height": 720},
     "session-page": {"width": 1500, "height": 1200},
 }
+VIEW_SIZE: ViewportSize = {"width": 1440, "height": 900}
+VIEW_PX, VIEW_GAP_PX, VIEW_QUALITY = (720, 450), 8, 70  # of the picture of six views
+LANE_PX = 13  # height of a lane
+SESSION_SEEDS = (3, 4, 5)
 SESSION_TAKES = ("jim/walk", "jim/reach", "ann/walk", "ann/turn")
 
 
 @contextmanager
-def open_review(studio: Studio, folder: Path) -> Generator[Page]:
-    """Serve the review of a cleaned take, and yield its page once it is complete."""
+def open_review(
+    studio: Studio, folder: Path, theme: Literal["dark", "light"] = "dark", size: ViewportSize = REVIEW_SIZE
+) -> Generator[Page]:
+    """Serve the review of a cleaned take or a batch, and yield its page once it is complete."""
     server = ReviewServer(ReviewSession(folder))
     thread = threading.Thread(target=server.serve, daemon=True)
     thread.start()
     # Playwright evaluates expressions, which the page's policy forbids.
-    context = studio.browser.new_context(
-        viewport=REVIEW_SIZE, device_scale_factor=PIXEL_RATIO, bypass_csp=True, color_scheme="dark"
-    )
+    context = studio.browser.new_context(viewport=size, device_scale_factor=PIXEL_RATIO, bypass_csp=True, color_scheme=theme)
     page = context.new_page()
     page.goto(server.address)
     page.wait_for_function("review.getState().isComplete")
@@ -81,6 +88,56 @@ def make_review_page(studio: Studio) -> str:
         "The fills of a lost arm are the least certain ones, so they come first: for this marker of the wrist mocapfix predicts "
         f"an error of {predicted_mm:.0f} mm; it is {error_mm:.0f} mm from the truth. The technician rejects the fill with R and "
         "cleans again with C: the marker is empty there, as it was recorded, and nothing else has changed."
+    )
+
+
+def make_review_views(studio: Studio, write_animation: Callable[[Path], object]) -> str:
+    """Put six views of the review page into one picture, in dark and light, and return the caption."""
+    width, height = VIEW_PX
+    composed = Image.new("RGB", (2 * width + VIEW_GAP_PX, 3 * height + 2 * VIEW_GAP_PX), PAGE_FRAME)
+
+    def add(page: Page, place: int) -> None:
+        page.wait_for_timeout(1500)
+        picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB").resize(VIEW_PX, Image.Resampling.LANCZOS)
+        composed.paste(picture, (place % 2 * (width + VIEW_GAP_PX), place // 2 * (height + VIEW_GAP_PX)))
+
+    with TemporaryDirectory() as folder, chdir(folder):
+        run_demo()
+        Path("takes").mkdir()
+        for seed in SESSION_SEEDS:
+            write_synthetic_take(Path(f"takes/walk{seed}.c3d"), compose_take(seed=seed, seconds=5.0, rate=100.0))
+        write_animation(Path("reach.bvh"))
+        for command in (["batch", "takes", "--out", "session"], ["clean", "reach.bvh"]):
+            subprocess.run([sys.executable, "-m", "mocapfix", *command], check=True)
+        with open_review(studio, Path("demo.mocapfix"), "dark", VIEW_SIZE) as page:
+            page.evaluate("name => review.app.select(name)", REVIEWED_CHANGE)
+            add(page, 0)
+            page.keyboard.press("z")
+            add(page, 2)
+        with open_review(studio, Path("demo.mocapfix"), "light", VIEW_SIZE) as page:
+            page.evaluate("name => review.app.select(name)", REVIEWED_CHANGE)
+            bounds = page.locator("#lanes").bounding_box()
+            assert bounds
+            page.keyboard.down("Control")
+            for row in range(1, 4):
+                page.mouse.click(bounds["x"] + bounds["width"] / 2, bounds["y"] + (row + 0.5) * LANE_PX)
+            page.keyboard.up("Control")
+            add(page, 1)
+            page.keyboard.press("g")
+            page.wait_for_selector("#fills button", timeout=CLEANING_TIMEOUT_MS)
+            best = page.locator("#fills .best").inner_text()
+            add(page, 3)
+        with open_review(studio, Path("session"), "dark", VIEW_SIZE) as page:
+            page.keyboard.press("t")
+            add(page, 4)
+        with open_review(studio, Path("reach.mocapfix"), "light", VIEW_SIZE) as page:
+            add(page, 5)
+    composed.save(PICTURES / "review-views.webp", quality=VIEW_QUALITY, method=6)
+    predicted_mm = float(best.split()[-2])
+    return (
+        "Left: a take after opening, lanes around the selection, and the takes of a session. Right: the curves of two markers, "
+        f"the estimates of a gap, the best of which has a predicted error of {predicted_mm:.0f} mm, and an animation. The page "
+        "is dark or light."
     )
 
 

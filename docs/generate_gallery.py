@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import yaml
-from gallery_pages import make_review_page, make_session_page
+from gallery_pages import make_review_page, make_review_views, make_session_page
 from gallery_scene import (
     BALL_M,
     CHARACTER,
@@ -245,18 +245,27 @@ def make_unlabelled(studio: Studio) -> str:
 FLIP_S, FLIPPED_JOINTS, FLIP_DEG = (4.75, 5.35), ("RightArm", "RightForeArm", "RightHand"), 150.0
 
 
-def make_animation(studio: Studio) -> str:
-    """Draw an animation in which an arm flips, and return the caption."""
+def write_flipped_animation(path: Path) -> SyntheticTake:
+    """Write an animation in which an arm flips, and return the take without that fault."""
     truth, frames = compose_take(seed=7, seconds=7.0, rate=RATE_HZ), select_frames(*FLIP_S)
     skeleton, rotations = truth.subject.skeleton, truth.motion.local_rotations.copy()
-    upper_arm, *arm = (skeleton.find_joint(joint) for joint in FLIPPED_JOINTS)
+    upper_arm = skeleton.find_joint(FLIPPED_JOINTS[0])
     flip = Rotation.from_euler("X", FLIP_DEG, degrees=True).as_matrix()
     rotations[frames, upper_arm] = flip @ rotations[frames, upper_arm]
+    write_bvh(path, skeleton, replace(truth.motion, local_rotations=rotations), RATE_HZ)
+    return truth
+
+
+def make_animation(studio: Studio) -> str:
+    """Draw an animation in which an arm flips, and return the caption."""
+    frames = select_frames(*FLIP_S)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "reach.bvh"
-        write_bvh(path, skeleton, replace(truth.motion, local_rotations=rotations), RATE_HZ)
+        truth = write_flipped_animation(path)
         cleaned = mocapfix.clean(path).write(Path(folder) / "cleaned")["bvh"]
         positions = [read_bvh(each).compute_world_poses()[0] for each in (path, cleaned)]
+    skeleton = truth.subject.skeleton
+    arm = [skeleton.find_joint(joint) for joint in FLIPPED_JOINTS[1:]]
     true_m, shown = truth.joint_positions, frames.stop - round(0.17 * RATE_HZ)
     errors_mm = [compute_error_mm(each[frames][:, arm], true_m[frames][:, arm]) for each in positions]
     before = Panel("Before", f"error {errors_mm[0]:.0f} mm", ("faulty",))
@@ -270,6 +279,11 @@ def make_animation(studio: Studio) -> str:
         f"In a BVH file an arm is turned by {FLIP_DEG:.0f} degrees for {FLIP_S[1] - FLIP_S[0]:.1f} s. mocapfix removes the turn "
         f"and keeps the motion within it: the error of elbow and hand falls from {errors_mm[0]:.0f} mm to {errors_mm[1]:.0f} mm."
     )
+
+
+def make_views(studio: Studio) -> str:
+    """Take a picture of six views of the review page, one of an animation among them, and return the caption."""
+    return make_review_views(studio, write_flipped_animation)
 
 
 LEG_SCALE = 0.62
@@ -353,6 +367,7 @@ EXHIBITS: dict[str, Callable[[Studio], str]] = {
     "animation": make_animation,
     "character": make_character,
     "review-page": make_review_page,
+    "review-views": make_views,
     "session-page": make_session_page,
 }
 """Functions that make the pictures of a section of the page, and return its caption."""

@@ -523,6 +523,36 @@ def test_an_estimate_of_a_gap_is_taken_by_a_number_and_is_what_the_next_cleaning
     np.testing.assert_allclose(page.evaluate(READ_MARKER, stretch), shown, atol=2e-6)  # as shown, but for rounding
 
 
+def test_estimates_leave_room_for_the_view_which_shows_all_of_them(page: Page) -> None:
+    page.set_viewport_size({"width": 1100, "height": 700})
+    change = max((each for each in get_take(page)["changes"] if each["kind"] == "gap"), key=lambda each: each["predicted_mm"])
+    select_change(page, change["id"])
+    page.keyboard.press("g")
+    page.wait_for_selector("#fills button")
+    bounds = page.locator("#stage").bounding_box()
+    assert bounds
+    assert bounds["height"] > 230
+    places = page.evaluate(
+        """() => { const { scene } = review.app, [person] = scene.people;
+        return person.listEstimates(scene.frame).map(({ at, layer }) =>
+            scene.point.fromArray(layer.values, at).project(scene.camera).toArray()); }"""
+    )
+    assert len(places) > 2
+    assert np.abs(places).max() < 1
+
+
+def test_kinds_of_changes_stand_in_one_column_and_are_not_cut_off(page: Page) -> None:
+    page.set_viewport_size({"width": 1100, "height": 700})
+    kinds = page.evaluate(
+        """[...document.querySelectorAll("#changes .row:not(.part) .kind")]
+        .map(each => [each.getBoundingClientRect().left, each.scrollWidth - each.clientWidth])"""
+    )
+    assert len(kinds) > 4
+    left, cut = np.transpose(kinds)
+    assert np.ptp(left) <= 1
+    assert cut.max() <= 0
+
+
 def test_an_estimate_of_a_stretch_is_taken_by_mouse(page: Page, running: RunningServer) -> None:
     take = get_take(page)
     change = max((each for each in take["changes"] if each["kind"] == "gap"), key=lambda each: each["predicted_mm"])
@@ -1098,6 +1128,9 @@ def test_commands_are_found_by_a_word(page: Page, running: RunningServer) -> Non
     page.keyboard.press("Control+k")
     page.keyboard.type("redo undone")
     assert page.locator("#palette-list li").count() == 0
+    page.locator("#palette-text").fill("swap")
+    expect(page.locator("#palette-list li")).to_have_count(2)  # of two labels, and those of two people
+    expect(page.locator("#palette-list")).to_contain_text("of two people")
     page.locator("#palette-text").fill("not made")
     expect(page.locator("#palette-list li")).to_have_count(1)
     press_and_wait(page, "Enter")

@@ -1,7 +1,7 @@
 // The list of events and their changes: its rows, few of which exist at a time, however many there are.
 
 const ROW_HEIGHT = 25;
-const SPARE_ROWS = 12, MAX_NAME_LENGTH = 14;  // of two markers in a row
+const SPARE_ROWS = 12, MAX_NAME_LENGTH = 14, NAME_PX = 7.4;  // letters of two markers in a row; width of a letter
 
 export class ChangeList {
   constructor(element, { onSelect, onFold }) {
@@ -29,7 +29,14 @@ export class ChangeList {
   setRows(rows, selectedId, { rate, labels }) {
     const prefixes = new Set(labels.map((label) => label.match(/^.*:/)?.[0]).filter(Boolean));
     Object.assign(this, { rows, selectedId, rate, prefix: prefixes.size === 1 ? [...prefixes][0] : "" });
+    this.space.style.setProperty("--name", `${Math.max(68, ...rows.map((each) => this.nameEntry(each).length * NAME_PX))}px`);  // one width in all rows
     this.render();
+  }
+
+  // The first marker of an entry, and how many others or, if they are short, which, after marks of a note and of a correction.
+  nameEntry({ markers, note, is_correction: isCorrection }) {
+    const [label, ...others] = markers.map((each) => this.shorten(each)), marks = (note ? "✎ " : "") + (isCorrection ? "★ " : "");
+    return `${marks}${label}${others.length > 1 || `${label}${others[0] ?? ""}`.length > MAX_NAME_LENGTH ? ` +${others.length}` : others.map((each) => `, ${each}`)}`;
   }
 
   showSelected() {
@@ -75,11 +82,9 @@ export class ChangeList {
     const seconds = (entry.last - entry.first + 1) / this.rate;
     const frames = entry.first === entry.last ? `${entry.first}` : `${entry.first}–${entry.last}`;
     row.title = `${entry.kind}, ${entry.markers.join(", ")}, ${frames}, ${seconds.toFixed(2)} s`;
-    const [label, ...others] = entry.markers.map((each) => this.shorten(each)), fold = buildCell({ true: "▾", false: "▸" }[entry.isOpen] ?? "", "fold");
-    const marks = (entry.note ? "✎ " : "") + (entry.is_correction ? "★ " : "");
     row.append(
-      fold,
-      buildCell(`${marks}${label}${others.length > 1 || `${label}${others[0] ?? ""}`.length > MAX_NAME_LENGTH ? ` +${others.length}` : others.map((each) => `, ${each}`)}`, "name"),
+      buildCell({ true: "▾", false: "▸" }[entry.isOpen] ?? "", "fold"),
+      buildCell(this.nameEntry(entry), "name"),
       buildCell(entry.kind, "kind"),
       buildCell(frames, "number"),
       buildCell(entry.predicted_mm === null ? "" : `${entry.predicted_mm.toFixed(entry.predicted_mm < 100 ? 1 : 0)} mm`, "number"),

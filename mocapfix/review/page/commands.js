@@ -41,7 +41,7 @@ function listCommands(app) {
     [["w"], "W", "mark the stretch as wrong", () => app.mark("wrong"), "mark"],
     [["x"], "X", "mark the stretch as missing", () => app.mark("missing")],
     [["s"], "S", "swap two labels; click a marker in the view and Ctrl-click another to swap them up to the next break of either", () => app.swap(), "swap"],
-    [["Shift+S"], "Shift-S", "exchange the labels of left and right, or of two people, in the stretch or the whole take", () => app.exchange(), "exchange"],
+    [["Shift+S"], "Shift-S", "exchange (swap) the labels of left and right, or of two people, in the stretch or the whole take", () => app.exchange(), "exchange"],
     [["Tab"], "Tab", "next unlabelled trajectory; a click on the name of a marker labels it", () => app.pickNextRun()],
     [["u"], "U", "assign an unlabelled trajectory", () => app.assign(), "assign"],
     [["g"], "G", "see all estimates of a gap or stretch, of which a number takes one", () => app.requestFill(), "fill"],

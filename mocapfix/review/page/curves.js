@@ -47,8 +47,8 @@ export class CurveView {
     for (const select of [this.quantity, this.other]) select.addEventListener("change", () => this.draw());
   }
 
-  setTake(take, samples) {
-    Object.assign(this, { take, samples, markers: [], interval: null, stretch: null, isReferenceChosen: false });
+  setTake(take, samples, names) {
+    Object.assign(this, { take, samples, names, markers: [], interval: null, stretch: null, isReferenceChosen: false });
     this.other.replaceChildren(...take.labels.map((label, m) => new Option(label, m)));
     for (const option of this.quantity.options) option.hidden = option.disabled = { body: !take.can_correct || !take.joints.length, rotation: take.can_correct }[option.value] ?? false;
     if (this.quantity.selectedOptions[0].disabled) this.quantity.value = "position";
@@ -164,7 +164,7 @@ export class CurveView {
     const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
     this.title.replaceChildren();
     if (this.marker === null || !this.samples) return;
-    this.title.append(...this.markers.map((m, n) => buildName(this.take.labels[m], n ? OTHER_COLOURS[n - 1] : colour("--estimated"))), quantity.unit);
+    this.title.append(...this.markers.map((m, n) => buildName(this.names[m], n ? OTHER_COLOURS[n - 1] : colour("--estimated"))), quantity.unit);
     if (quantity.isTraced) for (const m of this.markers) this.samples.loadTrace(m).then((isNew) => isNew && this.draw(), (error) => this.onError(error.message));
     if (quantity.isTraced && this.samples.traces.get(this.marker)?.length === 0) this.title.append(": not on the body");
     const rowHeight = (height - TOP - BOTTOM - GAP * (quantity.rows.length - 1)) / quantity.rows.length;
@@ -353,6 +353,6 @@ function findRange(lines) {
 function buildName(label, colour) {
   const name = document.createElement("b");
   name.textContent = label;
-  name.style.color = colour;
+  name.style.color = `color-mix(in srgb, ${colour} 62%, var(--text))`;  // yellow on white could not be read
   return name;
 }

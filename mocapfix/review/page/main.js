@@ -99,8 +99,8 @@ class App {
     find("take-name").title = take.notes.join("\n");
     document.title = `${take.name} – mocapfix review`;
     this.scene.setTake(take, this.samples);
-    this.curves.setTake(take, this.samples);
     this.lanes.setTake(take, this.samples);
+    this.curves.setTake(take, this.samples, this.lanes.names);
     this.marker = null;
     this.playback.setTake(take);
     this.renderKinds();
@@ -197,8 +197,10 @@ class App {
   }
 
   showEstimates(estimates) {
+    const isFirst = this.fills.isOpen && !this.curves.estimates.length && estimates.length;
     this.curves.setEstimates(estimates);
     this.scene.setEstimates(estimates);
+    if (isFirst) this.scene.frameMarkers([this.marker ?? 0]);  // with all of its estimates
   }
 
   closeEstimates() {

@@ -68,8 +68,8 @@ export function renderTakes(element, takes, openId, open) {
     const row = build("div", "", "row");
     row.dataset.id = take.id;
     row.setAttribute("aria-selected", String(take.id === openId));
-    const worst = take.worst_mm === null ? "" : `${take.worst_mm.toFixed(1)} mm`;
-    row.append(build("span", take.id), build("span", take.error || take.state), build("span", `${take.reviewed_count} of ${take.change_count}`, "number"), build("span", worst, "number"));
+    const worst = take.worst_mm === null ? "" : `worst ${take.worst_mm.toFixed(1)} mm`;
+    row.append(build("span", take.id), build("span", take.error || take.state), build("span", `${take.reviewed_count} of ${take.change_count} reviewed`, "number"), build("span", worst, "number"));
     row.title = take.error || (take.approved_by ? `approved by ${take.approved_by} on ${take.approved_at}` : take.name);
     row.addEventListener("click", () => { element.hidden = true; open(take.id); });
     return row;

@@ -152,9 +152,14 @@ export class Person {
     position.needsUpdate = color.needsUpdate = true;
   }
 
+  // The estimates that have a sample in a frame; `at` is where it begins in their values.
+  listEstimates(frame) {
+    return this.estimates.map((each) => ({ ...each, at: (frame - each.from) * 3 })).filter(({ layer, at }) => at > 2 && at < layer.values.length - 3 && !Number.isNaN(layer.values[at]));
+  }
+
   updateEstimates(frame) {
     const { geometry } = this.layers.estimates, { position, color } = geometry.attributes;
-    const shown = this.estimates.map((each) => ({ ...each, at: (frame - each.from) * 3 })).filter(({ layer, at }) => at > 2 && at < layer.values.length - 3 && !Number.isNaN(layer.values[at]));
+    const shown = this.listEstimates(frame);
     shown.forEach(({ layer, at, colour, isActive }, n) => {
       position.array.set(layer.values.subarray(at, at + 3), n * 3);
       new THREE.Color(isActive ? 0xffffff : colour).toArray(color.array, n * 3);

@@ -134,6 +134,7 @@ export class SceneView {
     };
     add("after", markers ?? Array(after).keys());
     if (!markers) add("joints", Array(joints).keys());
+    else for (const { at, layer } of this.people[0].listEstimates(this.frame)) box.expandByPoint(this.point.fromArray(layer.values, at));
     const limits = markers || box.isEmpty() ? null : box.clone().expandByScalar(MAX_STRAY_M);
     add("before", markers?.filter((m) => m < before) ?? Array(before).keys(), limits);
     return box.isEmpty() ? null : box.expandByScalar(MARGIN_M);
