@@ -120,7 +120,7 @@ def find_robot_map(robot: Robot) -> RobotMap:
             hands[side] = hand
     pelvis, trunk = (_find_base_link(body, limbs[f"{SIDES[0]}_{limb}"][0]) for limb in ("leg", "arm"))
     heads = [link for link in robot.joint_links[neck_joints].tolist() if trunk in _list_above(robot, link)]
-    head = max(heads, key=lambda link: float(body.positions[link][2]), default=trunk)
+    head = max(heads, key=lambda link: (round(float(body.positions[link][2]), 3), link), default=trunk)
     hips = {side: points[f"{side}_thigh"][0] for side in SIDES}
     reason = "Found by the structure of the robot."
     found = RobotMap(points, hips, feet, soles, pelvis, trunk, head, hands, body.standing, reason)

@@ -1,0 +1,155 @@
+"""What is written of a robot: conventions of NPZ, CSV and pickle, and options that are not for robots."""
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix.errors import OptionError, WriteError
+from mocapfix.model.motion import Motion
+from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
+from mocapfix.options import OutputOptions
+from mocapfix.output_formats import list_output_formats
+from mocapfix.robots.load_robot import load_robot
+from mocapfix.robots.retarget_robot import RobotMotion
+from mocapfix.robots.robot_files import build_robot_arrays, load_robot_files, write_robot_csv, write_robot_pickle
+from mocapfix.robots.robot_map import read_robot_map
+from tests.characters.walking_body import RATE, load_walk
+from tests.robots.humanoid import build_mjcf, list_parts
+
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is in the extra `robot`")
+FRAMES = 50
+TURN = np.array([0.4, -0.5, 1.5])  # rad/s, in the world
+SPEED = np.array([1.0, 0.5, 0.0])  # m/s
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("robot") / "own.xml"
+    path.write_text(build_mjcf(list_parts()), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def turning(path) -> RobotMotion:
+    """A robot that turns as a whole about the origin of its root, which moves on a line, with joints at 0.1 rad/s."""
+    robot = load_robot(path)
+    times = np.arange(FRAMES) / RATE
+    start = Rotation.from_euler("z", 0.7)
+    turns = (Rotation.from_rotvec(times[:, None] * TURN) * start).as_matrix()
+    links = len(robot.link_names)
+    rotations = np.repeat(turns[:, None], links, axis=1)
+    places = np.zeros((links, 3))
+    for link in range(1, links):
+        places[link] = places[robot.parents[link]] + robot.link_positions[link]
+    positions = (times[:, None] * SPEED)[:, None] + np.einsum("tij,lj->tli", turns, places)
+    joints = np.tile(0.1 * times[:, None], len(robot.joint_names))
+    return RobotMotion(robot, RATE, turns, np.zeros((FRAMES, 6)), joints, positions, rotations)
+
+
+def test_npz_has_velocities_of_centres_of_mass_in_the_world(turning):
+    arrays, robot = build_robot_arrays(turning), turning.robot
+    inner = slice(1, -1)
+    np.testing.assert_allclose(arrays["body_ang_vel_w"], np.broadcast_to(TURN, arrays["body_ang_vel_w"].shape), atol=1e-9)
+    arms = np.einsum("tlij,lj->tli", turning.link_rotations, robot.mass_centres)
+    centres = turning.link_positions + arms - turning.root_position[:, None]
+    expected = SPEED + np.cross(TURN, centres)
+    assert np.abs(robot.mass_centres).max() > 0.01
+    np.testing.assert_allclose(arrays["body_lin_vel_w"][inner], expected[inner], atol=2e-3)
+    np.testing.assert_allclose(arrays["joint_vel"], 0.1, atol=1e-9)
+    assert arrays["fps"] == RATE
+
+
+def test_npz_has_quaternions_w_x_y_z_and_the_qpos_of_mujoco(turning, path):
+    arrays = build_robot_arrays(turning)
+    quaternions = arrays["body_quat_w"]
+    found = Rotation.from_quat(quaternions[..., [1, 2, 3, 0]].reshape(-1, 4)).as_matrix()
+    np.testing.assert_allclose(found.reshape(turning.link_rotations.shape), turning.link_rotations, atol=1e-9)
+    assert ((quaternions[1:] * quaternions[:-1]).sum(axis=2) > 0).all()
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    for frame in (0, 30):
+        data.qpos = arrays["qpos"][frame]
+        mujoco.mj_kinematics(model, data)
+        root = model.body(arrays["body_names"][0]).id
+        np.testing.assert_allclose(data.xpos[root], arrays["root_pos"][frame], atol=1e-9)
+        np.testing.assert_allclose(data.xmat[root].reshape(3, 3), turning.root_rotation[frame], atol=1e-9)
+    np.testing.assert_array_equal(arrays["qpos"][:, 7:], arrays["joint_pos"])
+    assert [model.joint(name).qposadr[0] for name in arrays["joint_names"]] == [*range(7, model.nq)]
+
+
+def test_csv_and_pickle_have_quaternions_x_y_z_w(turning, tmp_path):
+    write_robot_csv(tmp_path / "a.csv", turning)
+    write_robot_pickle(tmp_path / "a.pkl", turning)
+    table = np.loadtxt(tmp_path / "a.csv", delimiter=",")
+    columns = json.loads((tmp_path / "a.columns.json").read_text(encoding="utf-8"))
+    content = pickle.loads((tmp_path / "a.pkl").read_bytes())
+    assert table.shape == (FRAMES, len(columns["columns"]))
+    assert columns["columns"][:8] == [
+        "root_x", "root_y", "root_z", "root_qx", "root_qy", "root_qz", "root_qw", turning.robot.joint_names[0],
+    ]  # fmt: skip
+    assert columns["fps"] == content["fps"] == RATE
+    for quaternions in (table[:, 3:7], content["root_rot"]):
+        np.testing.assert_allclose(Rotation.from_quat(quaternions).as_matrix(), turning.root_rotation, atol=3e-6)
+    for positions, joints in ((table[:, :3], table[:, 7:]), (content["root_pos"], content["dof_pos"])):
+        np.testing.assert_allclose(positions, turning.root_position, atol=1e-6)
+        np.testing.assert_allclose(joints, turning.joint_positions, atol=1e-6)
+
+
+def test_a_take_of_one_frame_has_no_velocities(turning):
+    arrays = build_robot_arrays(turning.select_frames(slice(0, 1)))
+    for name in ("joint_vel", "body_lin_vel_w", "body_ang_vel_w"):
+        np.testing.assert_array_equal(arrays[name], 0.0)
+
+
+def load_solved() -> tuple[Skeleton, Motion]:
+    """Return skeleton and motion of the walk, 30 frames."""
+    character, motion = load_walk()
+    skeleton, zeros = load_cmu31_skeleton(), np.zeros(30, int)
+    skeleton = type(skeleton)(skeleton.names, skeleton.parents, character.skeleton.offsets, skeleton.ends)
+    none = np.zeros((0, 0))
+    return skeleton, Motion(motion.pelvis_position[:30], motion.local_rotations[:30], zeros, zeros, none, none)
+
+
+def test_files_of_a_robot(path, tmp_path):
+    files = load_robot_files(path, OutputOptions(extra_formats=("robot-csv", "robot-pkl")))
+    assert files.suffixes == ("own.npz", "own.map.yaml", "own.csv", "own.columns.json", "own.pkl")
+    target = tmp_path / "walk.own.npz"
+    notes = files.write(target, *load_solved(), RATE, None, slice(5, 25))
+    assert {each.name for each in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in files.suffixes}
+    with np.load(target) as arrays:
+        assert arrays["joint_pos"].shape == (20, len(files.body.robot.joint_names))
+    assert "own.npz: Found by the structure of the robot." in notes[0]
+    assert "Places are scaled by" in notes[0]
+    assert "Limbs point as the performer's within" in notes[1]
+    again = load_robot_files(path, OutputOptions(character_map=str(tmp_path / "walk.own.map.yaml")))
+    assert again.body.map.reason == "Read from walk.own.map.yaml."
+    assert read_robot_map(tmp_path / "walk.own.map.yaml", again.body.robot).feet == files.body.map.feet
+
+
+def test_frames_outside_of_the_take_are_refused(path, tmp_path):
+    files = load_robot_files(path, OutputOptions())
+    with pytest.raises(WriteError, match="none of its frames is among those of --trim"):
+        files.write(tmp_path / "walk.own.npz", *load_solved(), RATE, None, slice(40, 50))
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "flag"),
+    [("loop", True, "--loop"), ("root_motion", "in-place", "--root-motion"), ("rest_frame", 3, "--rest-frame")],
+)
+def test_options_of_characters_are_refused(path, name, value, flag):
+    options = replace(OutputOptions(characters=(str(path),)), **{name: value})
+    with pytest.raises(OptionError, match=r"is not for robots; own\.xml is one") as error:
+        list_output_formats(options)
+    assert error.value.flag == flag
+
+
+@pytest.mark.parametrize("characters", [(), ("mixamo",)])
+def test_formats_of_robots_need_a_robot(characters):
+    with pytest.raises(OptionError, match="robot-csv is the motion of a robot; name it as --character"):
+        list_output_formats(OutputOptions(characters=characters, extra_formats=("robot-csv",)))
