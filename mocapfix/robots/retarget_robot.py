@@ -57,8 +57,8 @@ POSTURE_DIRECTIONS = {
 POSTURE_STARTS = 8  # random starts of the search for it; a seed makes them the same
 POSTURE_LINE_SD_RAD = 0.05
 POSTURE_RATE = 1.0  # control points per second in the search for it: so slow that changes between them cost little
-SEARCH_ITERATIONS, STANDING_ITERATIONS, LAST_ITERATIONS = 10, 18, 4
-SEARCH_DECREASE, LAST_DECREASE = 1e-2, 1e-3  # relative decreases at which searches end
+SEARCH_ITERATIONS, STANDING_ITERATIONS, LAST_ITERATIONS = 10, 18, 10
+SEARCH_DECREASE, LAST_DECREASE = 1e-2, 3e-4  # relative decreases at which searches end; 1e-3 left 4 % overlaps in a dance
 STANDING_DAMPING, LAST_DAMPING = 1e-2, 1e-4
 
 
