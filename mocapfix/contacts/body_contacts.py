@@ -282,7 +282,8 @@ def hold_measured_feet(
     Args:
         body: Without held feet.
         markers: Metres, in the body's order, NaN if missing or faulty.
-        is_locked: Hold feet at one place; the limit for visible markers does then not count for those of feet and shins.
+        is_locked: Hold feet at one place. The limit for visible markers then counts neither for shins nor for feet within
+            SHOWN_REACH_S of a contact that markers show.
     """
     subject, names = body.extended_subject, body.subject.skeleton.names
     displacement = compute_held_displacements(

@@ -9,7 +9,7 @@ import copyreg
 import mmap
 import tempfile
 import weakref
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -249,6 +249,19 @@ def iterate_blocks(value: Value, frame_count: int, block_frames: int = 0) -> Ite
 def select_block(value: Value, frame_count: int, frames: slice) -> Value:
     """Return a value there."""
     return map_arrays(value, frame_count, lambda name, of: of if name.endswith("point_columns") else of[frames])
+
+
+def join_columns(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return arrays of T frames side by side along their second axis: in a file if the first is in one, itself if it is alone."""
+    if len(parts) == 1:
+        return parts[0]
+    if not isinstance(parts[0].base, mmap.mmap):
+        return np.concatenate(parts, axis=1)
+    folder, joined = tempfile.TemporaryDirectory(**ARRAY_FOLDER), parts[0]
+    for first in range(0, len(parts[0]), MAX_BLOCK_FRAMES):
+        rows = np.concatenate([each[first : first + MAX_BLOCK_FRAMES] for each in parts], axis=1)
+        joined = write_rows(Path(folder.name) / "joined", first, rows)
+    return open_array(folder, "joined", joined, len(parts[0]))
 
 
 def store_take(take: Take) -> Take:

@@ -12,6 +12,7 @@ from mocapfix.hands.finger_markers import SIDES
 from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAYS, TIP_JOINTS
 from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.windows import join_columns
 from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples
 
 VIEW_YAW_RAD = np.radians(25)
@@ -71,7 +72,7 @@ def add_hand_points(
         places += [hand.palm_position[:, None], hand.point_positions]
     more = np.zeros((len(names) - len(skeleton.names), 3))
     offsets, ends = (np.concatenate([each, more + fill]) for each, fill in ((skeleton.offsets, 0.0), (skeleton.ends, np.nan)))
-    return Skeleton(tuple(names), np.array(parents), offsets, ends), np.concatenate(places, axis=1)
+    return Skeleton(tuple(names), np.array(parents), offsets, ends), join_columns(places)
 
 
 def build_hand_figures(comparison: CleaningComparison, frame: int) -> list[tuple[Markup, str, str]]:

@@ -21,6 +21,7 @@ from mocapfix.model.windows import (
     extract_window,
     iterate_blocks,
     join_at_cuts,
+    join_columns,
     open_array,
     plan_windows,
     store_take,
@@ -153,6 +154,17 @@ def test_arrays_in_files_are_written_in_any_order_and_read_by_another_process():
     assert name.exists()
     del part
     assert not name.exists()
+
+
+def test_columns_are_joined_in_a_file_if_the_first_of_them_are_in_one(monkeypatch):
+    monkeypatch.setattr(windows, "MAX_BLOCK_FRAMES", 4)  # three blocks, the last of two frames
+    folder, values = tempfile.TemporaryDirectory(**windows.ARRAY_FOLDER), np.arange(90.0).reshape(10, 3, 3)
+    stored = open_array(folder, "x", write_rows(Path(folder.name) / "x", 0, values), 10)
+    assert join_columns([stored]) is stored
+    for first in (stored, values):
+        joined = join_columns([first, values[:, :1], values[:, 1:]])
+        assert np.array_equal(joined, np.concatenate([values, values], axis=1))
+        assert (b"mocapfix-" in pickle.dumps(joined)) == (first is stored)
 
 
 def test_blocks_have_each_frame_once_and_leave_what_has_none():

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.contacts.body_contacts import LEGS, compute_held_displacements, displace_feet, hold_measured_feet, move_body
 from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, BodyContacts
 from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.skeleton import is_below
 from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.solve.measured_segments import (
@@ -27,6 +28,11 @@ RATE = 120.0
 TAKE = compose_take(seed=3, seconds=3.0, rate=RATE)
 NAMES = TAKE.subject.skeleton.names
 FRAMES = TAKE.motion.frame_count
+MOVING_JOINTS = [  # those that move a marker, without the root
+    joint
+    for joint in range(1, len(NAMES))
+    if any(joint == each or is_below(each, joint, TAKE.subject.skeleton.parents) for each in TAKE.subject.joints.tolist())
+]
 
 
 def test_growth_is_the_change_of_the_mean_distance_in_each_window():
@@ -92,7 +98,7 @@ def test_inferred_rotations_yield_to_visible_markers(seed):
     """Random joints turn by up to half a radian for random times, although their markers are visible."""
     rng = np.random.default_rng(seed)
     local_rotations = TAKE.motion.local_rotations.copy()
-    for joint in rng.choice(np.arange(1, len(NAMES)), 4, replace=False):
+    for joint in rng.choice(MOVING_JOINTS, 4, replace=False):
         first = int(rng.integers(0, FRAMES - 60))
         span = slice(first, first + int(rng.integers(1, 60)))
         local_rotations[span, joint] = local_rotations[span, joint] @ Rotation.from_rotvec(rng.uniform(-0.3, 0.3, 3)).as_matrix()
