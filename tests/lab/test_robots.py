@@ -79,7 +79,7 @@ def targets(body, performed):
 
 def move_forward(body, count, height_m=0.0, **positions):
     """Return a robot that moves forward upright at SPEED_M_S, its soles at a height, with given joint positions."""
-    unknowns = np.zeros((count, ROOT_UNKNOWNS + len(list_leaders(body.tree))))
+    unknowns = np.zeros((count, ROOT_UNKNOWNS + len(list_leaders(body.robot))))
     unknowns[:, 0] = SPEED_M_S * np.arange(count) / RATE
     unknowns[:, 2] = height_m + 0.7
     for name, values in positions.items():
