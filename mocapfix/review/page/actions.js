@@ -42,6 +42,7 @@ export const correctionActions = {
     const marker = this.marker ?? 0, isOfMarker = this.change?.markers.includes(this.take.labels[marker]);
     this.keys.close();
     this.scene.frameMarkers([marker]);
+    if (this.curves.marker !== marker) this.curves.showMarkers([marker], null);
     const { frame } = this.playback, run = this.lanes.findRun(marker, frame);
     this.fills.open(this.take, this.samples, marker, this.stretch || isOfMarker ? this.getInterval() : run.map((each) => each + this.take.first_frame));
   },
