@@ -11,7 +11,7 @@ All other values stay as they are. Faults and changes refer to the joint tips (s
 """
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,12 +24,12 @@ from scipy.spatial.transform import Rotation
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
 from mocapfix.animations.lock_feet import SlidingFeet, lock_feet
 from mocapfix.animations.repair import apply_repairs, repair_animation
-from mocapfix.characters.alignment import SkeletonAlignment, align_skeleton
+from mocapfix.characters.alignment import SIDE_PREFIXES, SkeletonAlignment, align_skeleton
 from mocapfix.characters.bone_mapping import map_joints, map_joints_by_shape
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, OTHER_CONTACT_JOINTS
 from mocapfix.contacts.find_contacts import estimate_slide, find_contacts, replace_contacts
 from mocapfix.contacts.gait_events import build_foot_points, detect_gait_events
-from mocapfix.errors import SceneError, TakeError
+from mocapfix.errors import SceneError, TakeError, join_words
 from mocapfix.io.changes_file import read_changes_files, reject_corrections
 from mocapfix.io.contact_files import read_contacts
 from mocapfix.io.conventions import estimate_height
@@ -37,9 +37,9 @@ from mocapfix.io.patches import patch_animation
 from mocapfix.kernels import lie
 from mocapfix.model.animation import Animation, build_joint_take, build_tip_take
 from mocapfix.model.changes import serialize_changes
-from mocapfix.model.faults import Faults
+from mocapfix.model.faults import Fault, Faults, build_fault_mask
 from mocapfix.model.motion import FrameStatus, Motion
-from mocapfix.model.skeleton import compose_transforms
+from mocapfix.model.skeleton import compose_transforms, is_below
 from mocapfix.model.stage_timer import StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
@@ -54,7 +54,7 @@ from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.motion_prior import GapContext, GapPrediction, predict_shipped_gap
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.sequences import sample_evenly
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
@@ -62,6 +62,10 @@ if TYPE_CHECKING:
 
 MAX_MAPPING_POSES = 100  # frames in which a figure whose joint names are unknown may stand upright
 JOINT_SOURCE = "joints"  # the source of events that follow from joints
+MIN_FINGER_JOINTS = 6  # below a hand, two of each of three fingers
+MAX_STILL_STEP_RAD = 1e-5  # from frame to frame: rounding to four decimals of a degree makes steps of up to 4e-6
+MIN_STILL_S = 1.0  # for which all fingers are still, and of this the least for which the arm turns
+MIN_ARM_TURN_RAD_PER_S, ARM_TURN_S = 0.2, 0.25  # the mean over this time, which noise does not reach
 
 
 def find_animation_contacts(
@@ -286,6 +290,48 @@ def find_body(animation: Animation, hierarchy: str | Path | None = None) -> tupl
     return AnimationBody(animation.parents, alignment), f"{mapping.reason.rstrip('.')}; {scale}, upright {frame}."
 
 
+def describe_still_fingers(animation: Animation, body: AnimationBody | None, faults: Iterable[Fault]) -> list[str]:
+    """Return a note for hands whose fingers never move, or stop for MIN_STILL_S, while the arm turns.
+
+    Frames with a fault of the arm or a finger do not count, nor does a reference pose. A joint that carries several
+    fingers is a palm.
+    """
+    start, parents = int(animation.has_reference_pose), animation.parents
+    rotations, lag = animation.compute_local_rotations()[start:], max(1, round(ARM_TURN_S * animation.rate))
+    min_frames, last_frame = max(1, round(MIN_STILL_S * animation.rate)), len(rotations) - 1
+    if body is None or last_frame < max(lag, min_frames):
+        return []
+    is_step, is_turn = (
+        np.linalg.norm(rotations[step:] - rotations[:-step], axis=(2, 3)) > np.sqrt(2) * angle
+        for step, angle in ((1, MAX_STILL_STEP_RAD), (lag, MIN_ARM_TURN_RAD_PER_S * lag / animation.rate))
+    )
+    is_turn = np.pad(is_turn, ((lag // 2, lag - 1 - lag // 2), (0, 0)))
+    is_sound = ~build_fault_mask(faults, (animation.frame_count, len(parents) + 1))[start:]
+    sides: dict[str, list[str]] = {}  # by what is wrong
+    for side in SIDE_PREFIXES:
+        names = [body.alignment.skeleton.names.index(side + name) for name in ("Arm", "ForeArm", "Hand", "FingerBase")]
+        *arm, hand, wrist = body.alignment.source_joints[names].tolist()
+        below = [joint for joint in range(len(parents)) if joint != wrist and is_below(joint, hand, parents)]
+        fingers = [joint for joint in below if np.sum(parents == joint) <= 1]
+        if min(*arm, hand) < 0 or len(fingers) < MIN_FINGER_JOINTS:
+            continue
+        is_known = np.all(is_sound[:, fingers + arm], axis=1)
+        is_known = is_known[1:] & is_known[:-1]
+        moves, turns = is_step[:, fingers] & is_known[:, None], is_turn[:, arm].any(1) & is_known
+        runs = find_runs(~moves.any(1) & is_known) if moves.any(0).sum() >= MIN_FINGER_JOINTS else []
+        runs = runs if moves.any() else [(0, last_frame - 1)]
+        runs = [(a, b + 1) for a, b in runs if b - a + 1 >= min_frames and turns[a : b + 1].sum() >= min_frames]
+        if runs:
+            count = sum(b - a + 1 for a, b in runs)
+            ranges = f"do not move in frames {notes.list_frame_ranges(runs, animation.first_frame + start)} ({count:,} frames)"
+            sides.setdefault(ranges if moves.any() else "never move", []).append(side.lower())
+    return [
+        f"The fingers of the {join_words(hands)} hand {stillness} while the arm does, and are left so: "
+        "if they should move, export the fingers again."
+        for stillness, hands in sides.items()
+    ]
+
+
 def clean_animation(
     animation: Animation, options: CleanOptions, load_pose_model: Callable[[], PoseModel] | None, timer: StageTimer
 ) -> AnimationResult:
@@ -339,7 +385,7 @@ def clean_animation(
         "fill": build_report.build_fill_section(before, before, after, repaired.unfilled),
         "seconds": timer.stage_seconds,
         "times": timer.part_times,
-        "notes": [*animation.notes, mapping_note, *contact_notes],
+        "notes": [*animation.notes, mapping_note, *describe_still_fingers(animation, body, faults), *contact_notes],
     }
     if contacts:
         report["contacts"] = build_contact_section(contacts, before)
@@ -367,10 +413,11 @@ def clean_animation(
 def inspect_animation(animation: Animation, options: CleanOptions) -> InspectionReport:
     """Return the report of the faults that `clean_animation` would detect, without repairing them."""
     reject_marker_options(animation, options)
-    _, mapping_note = find_body(animation, options.subject.hierarchy)
+    body, mapping_note = find_body(animation, options.subject.hierarchy)
     tips, faults = build_tip_take(animation), Faults(tuple(detect_animation_faults(animation)))
     joint_take = build_joint_take(animation)
-    return build_report.build_inspection_report(joint_take, None, tips, faults, [*animation.notes, mapping_note])
+    found = [*animation.notes, mapping_note, *describe_still_fingers(animation, body, faults.items)]
+    return build_report.build_inspection_report(joint_take, None, tips, faults, found)
 
 
 def reject_marker_options(animation: Animation, options: CleanOptions) -> None:

@@ -201,6 +201,13 @@ def describe_stray_markers(
     return notes + strays
 
 
+def list_frame_ranges(runs: Sequence[tuple[int, int]], first_frame: int) -> str:
+    """Return the first intervals, (first, last) from 0, as frame numbers in a sentence, and the number of the others."""
+    ranges = [format_frame_range(first + first_frame, last + first_frame) for first, last in runs]
+    more = f" and {len(ranges) - MAX_LISTED_RANGES:,} more intervals" if len(ranges) > MAX_LISTED_RANGES else ""
+    return ", ".join(ranges[:MAX_LISTED_RANGES]) + more if more else join_words(ranges)
+
+
 def describe_lost_part(take: Take, part: LostPart, inlier_mask: Bool[np.ndarray, "T M"]) -> str:
     """Return a note on a part of the body that the solve lost in sight: frames, distance, and what was assumed of its markers.
 
@@ -208,10 +215,7 @@ def describe_lost_part(take: Take, part: LostPart, inlier_mask: Bool[np.ndarray,
         part: The part, with the samples of the take's markers.
         inlier_mask: The samples of the take that are not taken for faults.
     """
-    numbers = ((take.get_frame_number(frame) for frame in run) for run in find_runs(part.frames))
-    ranges = [format_frame_range(first, last) for first, last in numbers]
-    more = f" and {len(ranges) - MAX_LISTED_RANGES:,} more intervals" if len(ranges) > MAX_LISTED_RANGES else ""
-    listed = ", ".join(ranges[:MAX_LISTED_RANGES]) + more if more else join_words(ranges)
+    listed = list_frame_ranges(find_runs(part.frames), take.get_frame_number(0))
     frames = "1 frame" if part.frame_count == 1 else f"{part.frame_count:,} frames"
     labels = format_name_list([take.labels[m] for m in np.flatnonzero(part.markers.any(0))], MAX_LISTED_PART_LABELS)
     distance = _format_mm(float(np.nanmean(part.distance_m)))
