@@ -123,7 +123,9 @@ def test_fingers_without_labels_get_those_of_their_set(body):
     subject, motion, take = body
     hidden, truth = hide_labels(take, subject)
     assert may_show_fingers(hidden, load_marker_set("frontwaist53"))
-    labels, names = label_unlabelled_fingers(hidden, subject, motion)
+    found = label_unlabelled_fingers(hidden, subject, motion)
+    assert found is not None
+    labels, names = found
     for column, name in enumerate(truth):
         assert {names[m] for m in labels.marker_indices[:, column]} == {name}
     assert (labels.confidence > 0.8).all()
@@ -138,6 +140,7 @@ def test_points_that_are_no_finger_set_keep_no_label(body):
 def test_hands_with_finger_labels_and_bodies_without_points_near_them_show_no_unlabelled_fingers(body):
     subject, _, take = body
     hidden, _ = hide_labels(take, subject)
+    assert hidden.unlabelled is not None
     marker_set = load_marker_set("frontwaist53")
     assert not may_show_fingers(take, marker_set)
     assert not may_show_fingers(replace(take, unlabelled=hidden.unlabelled), marker_set)
