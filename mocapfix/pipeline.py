@@ -504,7 +504,7 @@ def detect_and_fit(
         if marker_set is not choice.marker_set:
             return detect_and_fit(take, replace(choice, marker_set=marker_set), review, options, timer)
     elif take.part is None and not options.initialise.is_fast:
-        with timer("detect"):
+        with timer("detect", "hands"):
             detected = detect_on_hands(detected, body, calibrated.marker_set, review, options.detect)
     return FittedTake(replace(choice, marker_set=calibrated.marker_set), detected, body)
 

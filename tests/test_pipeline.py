@@ -200,7 +200,7 @@ def test_written_report_is_that_of_the_result_in_strict_json(cleaned):
     assert (cleaned.outputs["report.json"].parent / arguments[0]).samefile(cleaned.path)
     assert {**written, "seconds": None, "times": None} == {**report, "seconds": None, "times": None}
     assert not {"write", "show"} & set(report["seconds"])  # writing does not change the result
-    keys = ["take", "faults", "changes", "subject", "solve", "fill", "seconds", "times", "corrections", "notes", "contacts"]
+    keys = ["take", "faults", "changes", "subject", "solve", "fill", "seconds", "times", "notes", "contacts", "corrections"]
     assert list(written) == keys
     assert {"read", "calibrate", "solve", "fill", "write", "show"} <= set(written["seconds"])
     assert written["seconds"]["total"] == pytest.approx(sum(v for k, v in written["seconds"].items() if k != "total"), abs=1e-3)
@@ -520,8 +520,8 @@ def test_labels_exchanged_in_the_whole_take_are_corrected_or_reported_where_they
 def test_progress_is_reported_in_the_order_of_the_stages(brief):
     stages = []
     pipeline.clean(brief.path, progress=stages.append)
-    before, after = ["read", "label", "detect/trajectories", "calibrate", "initialise"], ["solve/limbs and feet", "fill"]
-    assert stages == [*before, "solve/poses", "detect/body", *after]
+    before, after = ["read", "label", "detect/trajectories", "calibrate", "initialise"], ["solve/limbs and feet", "solve/hands"]
+    assert stages == [*before, "solve/poses", "detect/body", "detect/hands", *after, "fill"]
 
 
 def test_an_unknown_initialisation_method_is_an_error_before_the_file_is_read():

@@ -7,7 +7,7 @@ import pytest
 
 from mocapfix.characters.fbx import BLENDER_VARIABLE
 from mocapfix.io.gltf import parse_glb
-from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
+from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, ROBOT_FORMAT_NAMES
 from mocapfix.output_formats import OPTIONAL_FORMATS
 from tests.characters.character_files import build_vrm
 
@@ -65,7 +65,7 @@ def test_existing_output_is_not_overwritten(mocapfix, brief, tmp_path):
 
 
 def test_every_extra_format_can_be_requested():
-    assert tuple(OPTIONAL_FORMATS) == EXTRA_FORMAT_NAMES
+    assert (*OPTIONAL_FORMATS, *ROBOT_FORMAT_NAMES) == EXTRA_FORMAT_NAMES  # a robot's are part of its character
 
 
 def test_an_output_that_cannot_be_written_is_not_listed_and_fails(mocapfix, brief, tmp_path, monkeypatch):

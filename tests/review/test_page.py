@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -126,6 +127,16 @@ def list_declined_samples(page: Page) -> list[list[Any]]:
 
 def select_change(page: Page, name: str) -> None:
     page.evaluate("name => review.app.select(name)", name)
+
+
+def press_until_open(page: Page, key: str, dialog: str) -> None:
+    """Press a key that opens a dialog: a page that still shows another take ignores keys."""
+    for _ in range(20):
+        page.keyboard.press(key)
+        with suppress(AssertionError):
+            expect(page.locator(dialog)).to_be_visible(timeout=3000)
+            return
+    expect(page.locator(dialog)).to_be_visible()
 
 
 def read_changes(running: RunningServer) -> dict[str, Any]:
@@ -396,7 +407,7 @@ def test_a_correction_has_the_frames_of_the_marker_that_was_clicked(page: Page) 
     page.evaluate(
         "pair => { review.app.change.markers = pair; review.app.marker = review.app.take.labels.indexOf(pair[1]); }", pair
     )
-    page.keyboard.press("s")
+    press_until_open(page, "s", "#dialog-swap")
     expect(page.locator("#swap-one")).to_have_value(pair[1])
     expect(page.locator("#swap-other")).to_have_value(pair[0])
 
