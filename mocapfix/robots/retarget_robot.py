@@ -2,12 +2,13 @@
 
     targets    = compute_robot_targets(...)    what is kept of the performer
     posture    = find_posture(...)             joint positions of an easy posture, where nothing else decides
-    trajectory = solve_windows(...)              a search without places to stand, on every n-th frame
+    trajectory = solve_windows(...)            a search without places to stand, on every n-th frame
     targets    = stand_feet(...)               where feet stand
-    trajectory = solve_windows(...)              all terms; first on every n-th frame, then on all
+    trajectory = solve_windows(...)            all terms; first on every n-th frame, then on all
 
 No frame starts from another one: the search starts in the same posture everywhere and the spline couples the frames, so the
-result does not depend on how a take begins. Joint positions are within their limits, since control points are.
+result does not depend on how a take begins. Joint positions are within their limits, to which control points are clipped at the
+end; limits of speeds are soft.
 """
 
 from collections.abc import Sequence

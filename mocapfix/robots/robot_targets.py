@@ -179,9 +179,8 @@ class RobotTargets:
     rate: float
     hips: Float[np.ndarray, "T 3"]  # scaled path of the middle of the hips, metres
     pelvis: Float[np.ndarray, "T 3 3"]  # rotations of the pelvis from the upright stance
-    contacts: dict[
-        tuple[str, int], list[tuple[int, int]]
-    ]  # side, and 0 for the heel or 1 for the front, to first and last frames
+    # side, and 0 for the heel or 1 for the front, to first and last frames
+    contacts: dict[tuple[str, int], list[tuple[int, int]]]
     heights: Float[np.ndarray, "T 2"]  # of the level under each foot, scaled, metres
 
     def loosen(self) -> "RobotTargets":

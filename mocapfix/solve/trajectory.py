@@ -2,7 +2,7 @@
 
 The unknowns of a frame (`kernels.hinged_tree`) are a uniform cubic B-spline over time, whose control points are a few frames
 apart. A frame depends on four of them, so that the curvature is a band, and a step takes time in proportion to the frames. Limits
-of positions and speeds apply to control points and their differences: a spline is nowhere beyond those.
+of positions and speeds are costs of control points and their differences: a spline exceeds a limit by no more than those do.
 
 The whole take decides every frame, the first one too. The cost may count every n-th frame only while the poses are still far.
 """
