@@ -145,13 +145,14 @@ NO_FINGER_SET_NOTE = "Unlabelled points near the hands are no finger set of the 
 def label_markers(capture: Take, options: CleanOptions) -> tuple[Take, CleanOptions]:
     """Return what `label_capture` does, with labels of fingers near the hands of a body that alone is labelled."""
     capture, options = label_capture(capture, options, calibrate_takes)
-    is_done = capture.labelled_file is not None or options.initialise.is_fast or is_stored(capture)
+    is_done = capture.labelled_file is not None or is_stored(capture)
     if is_done or capture.unlabelled is None or len(set(capture.marker_subjects)) > 1:
         return capture, options
     choice = identify_subject(capture, options.subject)
     if choice.marker_set is None or not may_show_fingers(capture, choice.marker_set):
         return capture, options
-    _, detected, body = detect_and_fit(capture, choice, FaultReview(), options, StageTimer())
+    quick = options.change(is_fast=True, max_rounds=1)  # the poses of a preview are near enough
+    _, detected, body = detect_and_fit(capture, choice, FaultReview(), quick, StageTimer())
     found = label_unlabelled_fingers(detected.take, body.subject, body.motion) if body else None
     if found is None:
         return replace(capture, notes=(*capture.notes, NO_FINGER_SET_NOTE)), options
@@ -503,7 +504,7 @@ def detect_and_fit(
             return FittedTake(withdraw_marker_set(choice), without_set, None)
         if marker_set is not choice.marker_set:
             return detect_and_fit(take, replace(choice, marker_set=marker_set), review, options, timer)
-    elif take.part is None and not options.initialise.is_fast:
+    elif take.part is None:
         with timer("detect", "hands"):
             detected = detect_on_hands(detected, body, calibrated.marker_set, review, options.detect)
     return FittedTake(replace(choice, marker_set=calibrated.marker_set), detected, body)

@@ -38,7 +38,7 @@ from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.contacts.contacts import BodyContacts, build_no_contacts
-from mocapfix.errors import ReadError, SceneError, WriteError
+from mocapfix.errors import ReadError, SceneError, WriteError, format_name_list
 from mocapfix.hands.hand_model import JOINTS_PER_RAY
 from mocapfix.hands.solve_hands import BodyWithHands, HandMotion
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
@@ -287,9 +287,12 @@ def measure_animation_hands(animation: Animation, rate: float) -> tuple[dict[str
         character = load_character(animation.path)
         if not np.allclose(character.rotation_y_up_file, animation.rotation_y_up_file):
             raise SceneError(f"{animation.name}: its rest pose is not upright.")
+        names = list(make_names_unique(animation.names))
+        if missing := sorted({*character.skeleton.names} - {*names}):
+            raise SceneError(f"{animation.name}: the file has changed since it was read: {format_name_list(missing)}.")
     except (ReadError, SceneError) as error:
         return {}, [f"The fingers of {animation.name} are not on characters: {error}"]
-    names, none = list(make_names_unique(animation.names)), np.zeros(animation.frame_count, int)
+    none = np.zeros(animation.frame_count, int)
     world = animation.compute_world_poses()[1][:, [names.index(name) for name in character.skeleton.names]]
     motion = Motion(np.zeros((len(none), 3)), world, none, none, np.zeros((len(none), 0)), np.zeros(world.shape[:2]))
     return measure_hand_poses(character, resample_motion(motion, animation.rate, rate).local_rotations), []

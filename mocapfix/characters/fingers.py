@@ -22,14 +22,22 @@ from mocapfix.model.skeleton import is_below, list_path
 from mocapfix.stats.rigid_alignment import compute_shortest_rotations
 
 FINGER_NAMES = {
-    "thumb": "thumb", "index": "index", "pointer": "index", "forefinger": "index", "mid": "middle", "ring": "ring",
-    "pink": "pinky", "little": "pinky", "small": "pinky",
+    "thumb": "thumb", "index": "index", "pointer": "index", "forefinger": "index", "mid": "middle", "middle": "middle",
+    "ring": "ring", "pink": "pinky", "pinky": "pinky", "pinkie": "pinky", "little": "pinky", "small": "pinky",
 }  # fmt: skip
-"""parts of the names of bones, and their fingers"""
+"""words in the names of bones, and their fingers"""
+FINGER_WORD = re.compile(
+    rf"(?<![a-z])(?:left|right|[lr])?(?:hand|finger)?({'|'.join(FINGER_NAMES)})"
+    r"(?:finger|meta|carpal|proximal|intermediate|medial|distal|base|tip|end|nub|left|right|[lr])*(?![a-z])"
+)
+"""the same as whole words of a name in small letters, with what is written to them without a space"""
 METACARPAL_NAME = re.compile(r"meta|carpal|inhand|palm", re.IGNORECASE)
-HELPER_NAME = re.compile(r"half|twist|roll|bulge|helper|corrective|_mcp|_pip|_dip|_palm", re.IGNORECASE)
+HELPER_NAME = re.compile(
+    r"half|twist|roll|bulge|helper|corrective|_mcp|_pip|_dip|_palm|spine|chest|torso|back|neck|toe", re.IGNORECASE
+)
 END_NAME = re.compile(r"(end|tip|nub|leaf|site)([_.\s-]*[lr])?\d*$", re.IGNORECASE)
 NUMBER = re.compile(r"\d+")
+WORD_START = re.compile(r"(?<=[a-z])(?=[A-Z])")
 MAX_METACARPAL_SHARE = 0.4
 """distance of a metacarpal from the wrist, as a share of that of the next bone; of the shipped characters' at most 0.33, and of
 their first bones of fingers at least 0.67"""
@@ -74,7 +82,8 @@ def _find_named_chains(names: Sequence[str], parents: Int[np.ndarray, " J"], bel
     """Return the bones below a hand whose names are those of each finger, one below the other."""
     finger_of: dict[int, str] = {}
     for bone in below:
-        finger = next((each for word, each in FINGER_NAMES.items() if word in names[bone].lower()), None)
+        words = FINGER_WORD.findall(WORD_START.sub("_", names[bone]).lower())
+        finger = next((each for word, each in FINGER_NAMES.items() if word in words), None)
         if finger is not None and not HELPER_NAME.search(names[bone]):
             finger_of[bone] = finger
     chains: dict[str, list[int]] = {}

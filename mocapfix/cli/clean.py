@@ -309,6 +309,8 @@ def run_keypoints_job(path: Path, output_folder: Path, overwrite: bool) -> int:
         f"{report['reprojection_px']['mean']:.1f} px; camera scale {report['camera']['pixels_per_metre']:.1f} pixels per metre. "
         f"{report['seconds']['total']:.1f} s."
     )
+    for note in report["notes"]:
+        print_line(escape(note))
     print_output_files(outputs)
     return console.EXIT_DONE
 

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.detect import gaps
+from mocapfix.hands.finger_markers import SIDES, find_finger_markers
 from mocapfix.labels.label_swaps import undo_label_exchanges
 from mocapfix.model.changes import compute_editable_mask
 from mocapfix.model.detected import Detected
@@ -128,17 +129,21 @@ MIN_SEPARATION_SD = 6.0
 MAX_SEGMENT_DEVIATION_M = 0.03  # of the distance of two joints (median) at which they are ends of one segment
 SEGMENT_LENGTH_SD_M = 0.02  # standard deviation of the length of a segment between keypoints, besides their noise
 MAX_LENGTH_COST = 8.0  # largest cost of the length of a segment in a frame
+HAND_CENTRE_SD_M = 0.02  # standard deviation per axis of the mean of the points of a hand that a detector finds
 MAX_MIRROR_MISFIT_M = 1e-9  # between a point's place and its twin's mirrored place
 
 
 def detect_keypoint_swaps(take: Take, marker_set: MarkerSet, noise_sd_m: Float[np.ndarray, " M"]) -> list[Fault]:
-    """Detect exchanged left and right keypoints; `noise_sd_m` per axis of the noise of each point."""
-    faults: list[Fault] = []
+    """Detect exchanged left and right keypoints; `noise_sd_m` per axis of the noise of each point.
+
+    Hands with fingers are judged as a whole, by the means of their points and the wrists of the body.
+    """
+    faults, hands = list[Fault](), find_hand_columns(take, marker_set)
     names, columns = load_cmu31_body().skeleton.names, marker_set.find_columns(take.labels)
     section_of_joint = {joint: section for section, joints in BODY_SECTIONS.items() for joint in joints}
     section_of_column = {int(column): section_of_joint[names[j]] for column, j in zip(columns, marker_set.joints, strict=True)}
     markers, judged = take.markers.copy(), list[tuple[int, int]]()
-    for left, right in find_mirrored_columns(take, marker_set):
+    for left, right in (pair for pair in find_mirrored_columns(take, marker_set) if not np.isin(pair, hands).any()):
         sd_m = float(max(noise_sd_m[left], noise_sd_m[right], marker_set.point_sd / 2))
         separation_m = np.linalg.norm(markers[:, left] - markers[:, right], axis=-1)
         if np.isnan(separation_m).all() or np.nanmedian(separation_m) < MIN_SEPARATION_SD * sd_m:
@@ -153,7 +158,23 @@ def detect_keypoint_swaps(take: Take, marker_set: MarkerSet, noise_sd_m: Float[n
         markers[is_exchanged, right] = exchanged
         if section_of_column[left] != "head":
             judged.append((left, right))
-    return faults
+    if not hands:
+        return faults
+    own = markers[:, np.array(hands).T]
+    with np.errstate(invalid="ignore"):  # frames without a hand
+        left, right = (np.nansum(own, axis=2) / (~np.isnan(own)).sum(2)).swapaxes(0, 1)
+    with_hands = np.concatenate([markers, left[:, None], right[:, None]], axis=1)
+    length_cost = compute_length_cost(with_hands, (-2, -1), judged, HAND_CENTRE_SD_M)
+    is_exchanged = find_exchanged_frames(left, right, HAND_CENTRE_SD_M, take.rate, length_cost)
+    return [*faults, *(_build_swap_fault(take, *pair, *run) for run in find_runs(is_exchanged) for pair in hands)]
+
+
+def find_hand_columns(take: Take, marker_set: MarkerSet) -> list[tuple[int, int]]:
+    """Return the columns in the take of each pair of points of hands, the left one first; none if fingers of one are shown."""
+    hands = find_finger_markers(marker_set.name, take.labels)
+    columns = [dict(zip(each.markers.labels, each.columns.tolist(), strict=True)) for each in hands]
+    twins = {label: label.replace("left", "right", 1) for label in columns[0]} if len(hands) == len(SIDES) else {}
+    return [(columns[0][label], columns[1][twin]) for label, twin in twins.items() if twin in columns[1]]
 
 
 def compute_length_cost(

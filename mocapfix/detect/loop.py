@@ -17,7 +17,7 @@ from mocapfix.detect.keypoints import detect_on_keypoints
 from mocapfix.detect.noise import RoundMemory
 from mocapfix.errors import TakeError
 from mocapfix.hands.finger_labels import find_finger_faults
-from mocapfix.hands.finger_markers import find_finger_markers
+from mocapfix.hands.finger_markers import find_finger_markers, select_carried
 from mocapfix.labels.fragments import detect_fragments, join_fragments, relabel_samples
 from mocapfix.labels.label_swaps import detect_label_swaps, detect_mislabelled, undo_label_exchanges
 from mocapfix.model.body_fit import BodyFit
@@ -193,9 +193,12 @@ def detect_on_trajectories(
         mislabelled = review.select(detect_mislabelled(take, marker_set, subject))
         take = undo_label_exchanges(take, mislabelled)
         label_faults += mislabelled
-    has_hands = take.part is None and not options.initialise.is_fast  # `detect_on_hands` follows
-    hands = find_finger_markers(marker_set.name, take.labels) if marker_set and has_hands else ()
-    fingers = {column for hand in hands for column in hand.columns.tolist()}
+    fingers = set[int]()  # whose labels `detect_on_hands` judges
+    if marker_set and take.part is None:
+        columns, hands = marker_set.find_columns(take.labels), find_finger_markers(marker_set.name, take.labels)
+        is_shown = (columns >= 0) & take.visible[:, columns].any(0)
+        for hand in select_carried(hands, marker_set.joints[is_shown]):
+            fingers.update(hand.columns.tolist())
     for _ in range(options.detect.max_rounds):
         fragments = review.select([*detect_fragments(take)])
         joined = join_fragments(take, fragments)

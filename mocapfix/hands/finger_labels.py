@@ -24,7 +24,7 @@ from mocapfix.hands.calibrated_hand import (
     minimise_hand_poses,
 )
 from mocapfix.hands.calibration import build_average_hand
-from mocapfix.hands.finger_markers import SIDES, FingerMarkers, find_finger_markers, list_finger_sets
+from mocapfix.hands.finger_markers import SIDES, FingerMarkers, find_finger_markers, list_finger_sets, select_carried
 from mocapfix.hands.hand_model import HAND_JOINTS, load_hand
 from mocapfix.hands.solve_hands import add_palm_markers, trace_palm
 from mocapfix.labels import tracklets
@@ -49,9 +49,9 @@ MAX_ASSIGNMENT_ROUNDS = 4
 # Exchanges are tried that seem to lose less, with the poses unchanged and markers within this distance of the hand's: all right
 # ones seem to gain, and nine of ten wrong ones lose more.
 MIN_PRELIMINARY_GAIN, PRELIMINARY_SD_M = -4.0, 0.015
-# Median over frames of the negative logarithm of a pose's probability density that an exchange saves: -1.2 and less were measured
-# for wrong ones, 17 and more for right ones of a stretch; of a single tip beside a lost one it may be less.
-MIN_FINGER_GAIN = 3.0
+# Median over frames of the negative logarithm of a pose's probability density that an exchange saves: up to 4.2 was measured for
+# wrong ones, 17 and more for right ones of a stretch; of a single tip beside a lost one it may be 4.
+MIN_FINGER_GAIN = 6.0
 MAX_TESTED_FRAMES = 16  # of a stretch
 MAX_EXCHANGES = 12  # of a hand
 FINGER_CONFIDENCE = 0.95  # of a correction
@@ -232,13 +232,14 @@ def list_exchangeable(
 def find_finger_faults(take: Take, subject: Subject, motion: Motion) -> list[Fault]:
     """Return the exchanges of the labels of finger markers in the order of their first frames; undone, each has its own."""
     hands = find_finger_markers(subject.marker_set, take.labels)
-    if not all(subject.solved_joints[subject.skeleton.find_joint(f"{each.side}Hand")] for each in hands) or not hands:
+    carried = select_carried(hands, subject.joints)
+    if not carried:
         return []
     columns = np.concatenate([hand.columns for hand in hands])
     positions = np.where(take.measured[:, columns, None], take.markers[:, columns], np.nan)
     places = np.arange(len(columns))
     target = np.tile(places, (take.frame_count, 1))
-    for hand in hands:
+    for hand in carried:
         points, own = collect_points(hand, (subject, motion), take, positions, columns), places[np.isin(columns, hand.columns)]
         found = tracklets.assign_to_tracklets(points.points, label_tracklets(points, MIN_FINGER_GAIN)[0], -2)
         is_lost = (found == -1) & np.isin(places, own)

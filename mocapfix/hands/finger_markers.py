@@ -5,6 +5,7 @@ scenes/finger-markers name the marker sets of the body to which each scheme belo
 whose body has such a set.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from mocapfix.errors import SceneError
 from mocapfix.hands.hand_model import MIRROR, RAY_ROOTS, Side, load_hand
 from mocapfix.io.shipped import find_shipped_folder, read_yaml
 from mocapfix.model.marker_set import MarkerSet
+from mocapfix.model.skeleton import load_cmu31_body, restrict_body
 
 SIDES: tuple[Side, Side] = ("Left", "Right")
 MAX_CENTRE_DISTANCE_M = 0.008  # of a point that is at the centre of a joint; no marker on the skin is as near
@@ -100,6 +102,12 @@ def find_finger_markers(marker_set_name: str, labels: tuple[str, ...]) -> tuple[
             found = [FingerMarkers(side, hand, hand.find_columns(labels)) for side, hand in zip(SIDES, scheme.hands, strict=True)]
             return tuple(select_shown(each) for each in found if ((each.columns >= 0) & (each.turning_joints > 0)).any())
     return ()
+
+
+def select_carried(hands: Iterable[FingerMarkers], joints: Int[np.ndarray, " K"]) -> tuple[FingerMarkers, ...]:
+    """Return the hands whose forearm a body with markers on these joints shows: without that no palm carries them."""
+    body = restrict_body(load_cmu31_body(), set(joints.tolist()))
+    return tuple(each for each in hands if body.solved_joints[body.skeleton.find_joint(f"{each.side}Hand")])
 
 
 def list_finger_sets(marker_set_name: str) -> list[tuple[FingerMarkers, FingerMarkers]]:

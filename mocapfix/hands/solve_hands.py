@@ -32,7 +32,7 @@ from mocapfix.hands.calibrated_hand import (
 )
 from mocapfix.hands.calibration import calibrate_hand
 from mocapfix.hands.closed_form import pose_in_closed_form
-from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers
+from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers, select_carried
 from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, TIP_JOINTS, Side, load_hand
 from mocapfix.io.resampling import resample_motion
 from mocapfix.model.body_fit import BodyFit
@@ -169,7 +169,7 @@ def _list_hands(
     if not hands:
         return listed
     for each in hands:
-        is_shown = subject.solved_joints[subject.skeleton.find_joint(f"{each.side}Hand")] and is_used[:, each.columns].any()
+        is_shown = bool(select_carried([each], subject.joints)) and is_used[:, each.columns].any()
         if each.side in sides if sides is not None else is_shown:
             markers = add_palm_markers(each, subject, take.labels)
             used = np.ascontiguousarray(is_used[:, markers.columns])

@@ -12,6 +12,7 @@ first one is followed.
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, cast
 
@@ -70,8 +71,18 @@ def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
     unit_m = get_metres_per_unit(unit) if isinstance(unit, str) else None
     if unit_m is None:
         raise ReadError(f"{path}: unit: is {unit!r}; give it with --unit, one of {', '.join(METRES_PER_UNIT)}.")
+    notes = (*notes, *describe_unread_hands(frames))
     layout = TableLayout(encoding, "\n", ",", ".", unit_m)
     return build_take(path, points, labels, layout, rate, 1, "Y", notes=notes, options=options)
+
+
+def describe_unread_hands(frames: Iterable[Any]) -> list[str]:
+    """Return a note if the people in OpenPose's frames have keypoints of hands."""
+    people = [person for frame in frames if isinstance(frame, dict) for person in cast("Any", frame.get("people")) or ()]
+    keys = {key for person in people if isinstance(person, dict) for key, points in cast("Any", person).items() if points}
+    return ["OpenPose's keypoints of the hands are not read, so the fingers do not move."] * any(
+        each.startswith("hand_") for each in keys
+    )
 
 
 def _parse_frames(path: Path, content: dict[str, Any], frames: list[Any]) -> tuple[list[str], Float[np.ndarray, "T P 3"]]:

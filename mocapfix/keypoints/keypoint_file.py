@@ -9,7 +9,7 @@ file for each frame, ordered by name, or one such file. A frame is the same in b
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from pydantic import PositiveFloat
 
 from mocapfix.errors import ReadError, SceneError
+from mocapfix.io.keypoint_json import describe_unread_hands
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.model.skeleton import Skeleton
@@ -85,6 +86,7 @@ class Keypoints:
     confidence: Float[np.ndarray, "T V"]  # 0 to 1; 0 where a point was not found
     rate_hz: float | None  # None if the file does not contain it
     image_size_px: tuple[float, float] | None  # width and height; None if the file does not contain them
+    notes: list[str] = field(default_factory=list)
 
     @property
     def frame_count(self) -> int:
@@ -111,7 +113,7 @@ def read_keypoints(path: Path, skeleton: Skeleton) -> Keypoints:
     if not points[..., 2].any():
         raise ReadError(f"{path}: no person was found in any frame.")
     position_px, confidence = np.ascontiguousarray(points[..., :2]), np.ascontiguousarray(points[..., 2])
-    return Keypoints(detector, position_px, confidence, rate, image)
+    return Keypoints(detector, position_px, confidence, rate, image, describe_unread_hands(frame for _, frame in frames))
 
 
 def track_person(people: list[Float[np.ndarray, "_ V 3"]], points: int) -> Float[np.ndarray, "T V 3"]:

@@ -99,6 +99,7 @@ class KeypointReport(TypedDict):
     reprojection_px: ReprojectionSummary
     status: dict[str, int]  # number of frames by final status of the solver
     seconds: dict[str, float]
+    notes: list[str]
 
 
 @dataclass(frozen=True)
@@ -260,6 +261,7 @@ class KeypointResult:
             },
             "status": {FrameStatus(status).description: count for status, count in Counter(self.motion.status.tolist()).items()},
             "seconds": self.timer.stage_seconds,
+            "notes": self.keypoints.notes,
         }
 
     def write(self, folder: Path, overwrite: bool = False) -> dict[str, Path]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from mocapfix.contacts.contacts import PLATE_SOURCE, BodyContacts, StandingBody
 from mocapfix.errors import format_name_list, join_names, join_words
-from mocapfix.hands.finger_markers import find_finger_markers
+from mocapfix.hands.finger_markers import find_finger_markers, select_carried
 from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.model.body_fit import BodyFit, RememberedGap
 from mocapfix.model.changes import compute_distance_error_mm
@@ -118,7 +118,7 @@ def describe_hands(detected: Detected, subject: Subject, hands: Sequence[HandMot
         reason = "hands are not solved in a preview; clean the take without --fast"
     elif left and not any(detected.solver_mask[:, each.columns].any() for each in left):
         reason = "none of their samples can be used"
-    elif left and not any(subject.solved_joints[subject.skeleton.find_joint(f"{each.side}Hand")] for each in left):
+    elif not select_carried(left, subject.joints):
         reason = "no marker shows the forearm"
     lengths = [f"{name} ({length})" for name, length in zip(found, solved.values(), strict=True)]
     return [

@@ -11,7 +11,7 @@ from mocapfix.characters.body_frames import measure_hand_poses
 from mocapfix.characters.character import FINGERS, SIDES, compute_character_poses
 from mocapfix.characters.character_files import convert_hand_motion, measure_animation_hands, write_character_bvh
 from mocapfix.characters.character_yaml import read_mapping_file, write_mapping_file
-from mocapfix.characters.fingers import HandPoses, compute_straight_finger, find_fingers
+from mocapfix.characters.fingers import HandPoses, compute_straight_finger, find_fingers, has_named_fingers
 from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.errors import SceneError
@@ -280,6 +280,31 @@ def test_fingers_of_a_bvh_are_those_that_were_written(walk, tmp_path, name):
             assert compute_angles_deg(read, hands[side].palm[:, None] @ poses @ straight).max() < CLOSE_DEG
     half, _ = measure_animation_hands(animation, motion.rate / 2)
     np.testing.assert_allclose(half["left"].palm, found["left"].palm[::2], atol=1e-9)
+
+
+def test_a_file_that_changed_since_it_was_read_gives_no_fingers_and_a_note(walk, tmp_path):
+    source, motion, hands = walk
+    character, path = load_character("mixamo"), tmp_path / "hero.bvh"
+    write_character_bvh(path, character, retarget_motion(source, motion, character, hands=hands))
+    animation = read_bvh(path, options=ReadOptions(unit="cm", up_axis="Y"))
+    path.write_text(path.read_text(encoding="utf-8").replace("LeftHandRing2", "LeftHandRingTwo"), encoding="utf-8")
+    found, [note] = measure_animation_hands(animation, motion.rate)
+    assert found == {}
+    assert "changed since it was read" in note
+
+
+@pytest.mark.parametrize(("names", "has_fingers"), [
+    (["Hips", "LeftHandIndex1", "LeftHandIndex2"], True),
+    (["hip", "lMid1", "lMid2"], True),
+    (["root", "lefthandthumb1", "lefthandthumb2"], True),
+    (["root", "l_indexmetacarpal", "l_index1"], True),
+    (["Hips", "MidSpine", "MidChest"], False),
+    (["Hips", "Spring1", "Spring2"], False),
+    (["Ringleader", "Ringleader_Spine", "Pyramid"], False),
+    (["hip", "lSmallToe1", "lSmallToe2"], False),
+])  # fmt: skip
+def test_only_whole_words_name_fingers(names, has_fingers):
+    assert has_named_fingers(names, np.arange(-1, len(names) - 1)) == has_fingers
 
 
 def test_fingers_that_never_move_are_no_motion():

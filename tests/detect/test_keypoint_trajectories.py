@@ -11,9 +11,13 @@ from mocapfix.detect.keypoints import (
     detect_keypoint_swaps,
     estimate_noise_sd,
     find_exchanged_frames,
+    find_hand_columns,
     find_mirrored_columns,
     smooth_point,
 )
+from mocapfix.hands.finger_markers import SIDES, find_finger_markers, load_finger_schemes
+from mocapfix.hands.hand_model import load_hand
+from mocapfix.labels.label_swaps import undo_label_exchanges
 from mocapfix.model.faults import build_fault_mask
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
@@ -105,6 +109,45 @@ def test_straight_keypoints_have_no_exchange(projected):
     rng = np.random.default_rng(0)
     take = replace(projected.take, markers=projected.truth + rng.normal(0, NOISE_SD_M, projected.truth.shape))
     assert detect_keypoint_swaps(take, HALPE, estimate_noise_sd(take.markers)) == []
+
+
+@pytest.fixture(scope="module")
+def hands():
+    """Return a body with the keypoints of both hands, which are stiff, with noise and a tenth of the samples missing."""
+    composed, rng, body = compose_take(seed=4, seconds=10.0, rate=RATE), np.random.default_rng(4), load_marker_set("coco133")
+    skeleton = composed.subject.skeleton
+    joints, rotations = kinematics.compute_world_poses(skeleton, composed.motion)
+    fingers = [each.markers for each in find_finger_markers("coco133", tuple(_list_hand_labels()))]
+    of_body = [k for k, label in enumerate(body.labels) if label not in _list_hand_labels()]
+    carriers, offsets = body.joints[of_body], body.marker_offsets[of_body]
+    markers = [joints[:, carriers] + np.einsum("tkab,kb->tka", rotations[:, carriers], offsets)]
+    for side, hand in zip(SIDES, fingers, strict=True):
+        joint = skeleton.find_joint(f"{side}Hand")
+        places = load_hand(side).skeleton.rest_positions[hand.joints] + hand.marker_offsets
+        markers.append(markers[0][:, [body.labels.index(f"{side.lower()}_wrist")]] + places @ rotations[:, joint].swapaxes(1, 2))
+    points = np.concatenate(markers, axis=1)
+    points += rng.normal(0, 0.01, points.shape)
+    points[rng.random(points.shape[:2]) < 0.1] = np.nan
+    return Take(points, tuple(body.labels[k] for k in of_body) + tuple(_list_hand_labels()), RATE)
+
+
+def _list_hand_labels():
+    return [
+        label for each in load_finger_schemes() if each.name == "coco133-hands" for hand in each.hands for label in hand.labels
+    ]
+
+
+@pytest.mark.parametrize(("first", "last"), [(100, 100), (100, 103), (0, 40), (200, 420)])
+def test_exchanged_hands_go_back_as_a_whole(hands, first, last):
+    body, markers = load_marker_set("coco133"), hands.markers.copy()
+    assert detect_keypoint_swaps(hands, body, estimate_noise_sd(markers)) == []
+    left, right = (list(columns) for columns in zip(*find_hand_columns(hands, body), strict=True))
+    assert len(left) == 21
+    markers[first : last + 1, left + right] = markers[first : last + 1, right + left]
+    wrong = hands.replace_markers(markers)
+    found = detect_keypoint_swaps(wrong, body, estimate_noise_sd(markers))
+    assert {(fault.first, fault.last) for fault in found} == {(first, last)}
+    np.testing.assert_array_equal(undo_label_exchanges(wrong, found).markers, hands.markers)
 
 
 def test_mirrored_pairs_go_from_the_trunk_outwards(projected):

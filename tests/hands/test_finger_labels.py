@@ -5,14 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mocapfix.detect.loop import detect_on_trajectories
 from mocapfix.hands.finger_labels import cut_unseen_changes, find_finger_faults, label_unlabelled_fingers, may_show_fingers
 from mocapfix.hands.finger_markers import SIDES
 from mocapfix.hands.hand_model import HAND_JOINTS
 from mocapfix.hands.solve_hands import trace_palm
 from mocapfix.io.c3d import write_c3d
 from mocapfix.labels.label_swaps import undo_label_exchanges
+from mocapfix.model.faults import FaultReview
 from mocapfix.model.take import Take
-from mocapfix.pipeline import label
+from mocapfix.options import CleanOptions
+from mocapfix.pipeline import clean, label
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.stats.rigid_alignment import compute_rotations
 from mocapfix.subject.library import load_marker_set
@@ -94,6 +97,35 @@ def test_a_sample_under_the_label_of_a_missing_finger_goes_back(body):
     np.testing.assert_array_equal(undo_label_exchanges(wrong, faults).markers, right.markers)
 
 
+def test_fingers_of_a_hand_without_a_palm_are_judged_by_their_trajectories(body):
+    subject, motion, take = body
+    names = [subject.skeleton.names[joint] for joint in subject.joints]
+    lost = {
+        label for label, name in zip(subject.labels, names, strict=True) if name in ("LeftForeArm", "LeftHand", "LeftFingerBase")
+    }
+    kept = np.array([m for m, label in enumerate(take.labels) if label not in lost])
+    wrong = exchange(exchange(take, "LIDX6", "LMID6", 50, 60), "RIDX6", "RMID6", 50, 60)
+    marker_set = load_marker_set("frontwaist53")
+    for part, expected in ((wrong.select(kept, wrong.visible), [{"LIDX6", "LMID6"}]), (wrong, [])):
+        found = detect_on_trajectories(part, marker_set, None, FaultReview(), CleanOptions())
+        assert [{part.labels[m] for m in fault.markers} for fault in found.label_faults] == expected
+    without = subject.select_markers([label for label in subject.labels if label not in lost])
+    part = wrong.select(kept, wrong.visible)
+    assert [{part.labels[m] for m in fault.markers} for fault in find_finger_faults(part, without, motion)] == [
+        {"RIDX6", "RMID6"}
+    ]
+
+
+def test_previews_undo_exchanges_of_fingers(body, tmp_path):
+    _, _, take = body
+    path = tmp_path / "walk.c3d"
+    write_c3d(path, exchange(take, "LIDX6", "LMID6", 50, 60))
+    faults = clean(path, is_fast=True).faults.select_kinds("swap")
+    assert [({take.labels[m] for m in fault.markers}, fault.first, fault.last) for fault in faults] == [
+        ({"LIDX6", "LMID6"}, 50, 60)
+    ]
+
+
 def test_bodies_without_finger_markers_have_none(body):
     subject, motion, take = body
     assert (
@@ -155,6 +187,7 @@ def test_a_file_with_a_labelled_body_is_labelled_to_the_tips(body, tmp_path):
     path = tmp_path / "walk.c3d"
     write_c3d(path, hidden)
     labelled = label(path)
+    assert clean(path, is_fast=True).input_take.labels == labelled.labels
     assert set(labelled.labels) == {*subject.labels, *truth}
     for name in take.labels:
         np.testing.assert_allclose(

@@ -40,13 +40,15 @@ def test_openpose_people(tmp_path):
     points = np.random.default_rng(1).normal(0, 1, (3, 25, 4))
     points[..., 3] = 0.9
     points[1, 4, 3] = 0.0
-    frames = [{"people": [{"pose_keypoints_3d": frame.ravel().tolist()}]} for frame in points] + [{"people": []}]
+    hands = {"hand_right_keypoints_3d": [0.1] * 84}
+    frames = [{"people": [hands | {"pose_keypoints_3d": frame.ravel().tolist()}]} for frame in points] + [{"people": []}]
     take = read_take(write(tmp_path, {"rate": 30, "unit": "m", "frames": frames}), ReadOptions(up_axis="Y"))
     assert take.labels[:3] == ("Nose", "Neck", "RShoulder")
     assert take.markers.shape == (4, 25, 3)
     np.testing.assert_allclose(take.markers[0], points[0, :, :3])
     assert np.isnan(take.markers[1, 4]).all()
     assert np.isnan(take.markers[3]).all()
+    assert any("hands are not read" in note for note in take.notes)
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,13 @@ def test_openpose_folder_is_read_in_order_of_names(tmp_path):
     np.testing.assert_array_equal(one.position_px[0, 0], [2.0, 4.0])
 
 
+def test_a_note_says_that_hands_are_not_read(tmp_path):
+    hands = {"hand_left_keypoints_2d": [1.0, 2.0, 0.5] * 21}
+    assert keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film([person(3.0)])), SKELETON).notes == []
+    [note] = keypoint_file.read_keypoints(write_json(tmp_path / "b.json", film([person(3.0) | hands])), SKELETON).notes
+    assert "hands are not read" in note
+
+
 def test_one_person_is_tracked_among_several(tmp_path):
     frames = [[person(100.0, 0.3), person(10.0)], [person(11.0, 0.2), person(101.0)], [], [person(102.0), person(12.0)]]
     found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film(*frames)), SKELETON)
