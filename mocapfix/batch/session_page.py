@@ -20,8 +20,7 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
-from mocapfix.batch.records import PEOPLE_FILE_NAME, PersonEntry, SessionPeople, TakeRecord, read_people_file
-from mocapfix.batch.take_figures import SubjectFigures
+from mocapfix.batch.records import PEOPLE_FILE_NAME, PersonEntry, SessionPeople, SubjectFigures, TakeRecord, read_people_file
 from mocapfix.errors import SceneError, join_words
 from mocapfix.io.files import replace_atomically
 from mocapfix.model.faults import FaultKind

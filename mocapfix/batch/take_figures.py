@@ -12,39 +12,13 @@ from html import escape
 
 import numpy as np
 from jaxtyping import Bool, Float
-from pydantic import Field, NonNegativeFloat, NonNegativeInt
 
-from mocapfix.io.yaml_files import StrictModel
+from mocapfix.batch.records import SubjectFigures
 from mocapfix.model.take import Take
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
 from mocapfix.report.stick_figures import MAX_DRAWN_MARKERS, fit_figure_view, select_shown_body, trace_bones, trace_markers
 from mocapfix.result import CleaningResult
 from mocapfix.solve.kinematics import predict_markers
-
-
-class SubjectFigures(StrictModel):
-    """What a cleaning found and did on one subject of a take."""
-
-    subject: str = ""  # name of the subject; "" if the file has only one
-    marker_set: str | None = None  # name of the marker set; None without a body
-    frame_count: NonNegativeInt = 0
-    rate_hz: NonNegativeFloat = 0.0
-    duration_s: NonNegativeFloat = 0.0
-    sample_count: NonNegativeInt = 0  # samples of all markers in all frames
-    missing_before: NonNegativeInt = 0
-    filled: NonNegativeInt = 0
-    left_empty: NonNegativeInt = 0
-    replaced: NonNegativeInt = 0
-    relabelled: NonNegativeInt = 0
-    fault_counts: dict[str, NonNegativeInt] = Field(default_factory=dict)  # number of faults by kind
-    # that of the change that is predicted worst, as in the report; None without any
-    worst_predicted_error_mm: NonNegativeFloat | None = None
-    # frame of its least certain sample, else the one with the most empty or corrected ones; the file's frame number
-    worst_frame: int | None = None
-    residual_mm: NonNegativeFloat | None = None  # mean distance of the markers from the body; None without a body
-    picture_svg: str = ""  # small drawing of that frame for the session page
-    laboratory: str = ""  # what suggests that the take is that of a laboratory; "" if nothing does
-    notes: tuple[str, ...] = ()  # sentences of the report on what else needs attention
 
 
 def measure_result(result: CleaningResult) -> list[SubjectFigures]:

@@ -120,7 +120,7 @@ def trace_bones(view: "FigureView", comparison: CleaningComparison, frame: int, 
 def select_shown_body(comparison: CleaningComparison, frame: int) -> Float[np.ndarray, "J 3"]:
     """Return the joint positions in metres of the body that a picture of a frame shows, (0, 3) if a solved joint is unknown."""
     joints = comparison.joint_position_world
-    is_known = joints is not None and not (np.isnan(joints[frame, :, 0]) & ~np.isnan(joints[..., 0]).all(0)).any()
+    is_known = joints is not None and np.isnan(joints[:, np.isnan(joints[frame, :, 0]), 0]).all()
     return joints[frame] if joints is not None and is_known else np.empty((0, 3))
 
 

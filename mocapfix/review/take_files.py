@@ -329,7 +329,9 @@ def _find_positions(
     found = np.zeros(selected.shape, bool)
     samples = np.argwhere(selected)
     for part in np.array_split(samples, 1 + len(samples) // MAX_SAMPLES_COMPARED_AT_ONCE):
-        frames, markers = part[:, 0], part[:, 1]
+        frames, markers = part.T
+        is_near = (trajectories[frames, :, 0] == positions[frames, markers, :1]).any(-1)  # nearly all differ in one coordinate
+        frames, markers = frames[is_near], markers[is_near]
         found[frames, markers] = (trajectories[frames] == positions[frames, markers][:, None]).all(-1).any(-1)
     return found
 

@@ -2,8 +2,7 @@
 
 from hypothesis import strategies as st
 
-from mocapfix.batch.records import TakeRecord
-from mocapfix.batch.take_figures import SubjectFigures
+from mocapfix.batch.records import SubjectFigures, TakeRecord
 
 PICTURE = '<svg class="moment" viewBox="0 0 90 190" role="img"><title>Frame 7.</title><path class="dot ok" d="M9 9h0"/></svg>'
 

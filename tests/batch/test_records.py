@@ -2,8 +2,15 @@
 
 from pathlib import Path
 
-from mocapfix.batch.records import TakeRecord, get_record_path, get_take_folder, read_record, read_records, write_record
-from mocapfix.batch.take_figures import SubjectFigures
+from mocapfix.batch.records import (
+    SubjectFigures,
+    TakeRecord,
+    get_record_path,
+    get_take_folder,
+    read_record,
+    read_records,
+    write_record,
+)
 
 
 def build_record(take: str) -> TakeRecord:
