@@ -26,8 +26,7 @@ from pydantic import Field, PositiveFloat
 from mocapfix.errors import SceneError
 from mocapfix.io.files import check_outputs_absent, make_output_folder, replace_atomically
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
-from mocapfix.keypoints.film_solver import build_camera_rotation, solve_film
-from mocapfix.keypoints.keypoint_file import Keypoints, read_keypoints
+from mocapfix.keypoints.film_solver import Keypoints, build_camera_rotation, read_keypoints, solve_film
 from mocapfix.model.motion import FrameStatus, Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.model.stage_timer import ProgressCallback, StageTimer
@@ -49,7 +48,7 @@ class KeypointSceneSettings(StrictModel):
 
     kind: Literal["keypoints-2d"]
     title: str  # one line, for the page
-    keypoints: Path  # a file, or the folder that OpenPose wrote; see `keypoint_file`
+    keypoints: Path  # a file, or the folder that OpenPose wrote; see `film_solver`
     rate: PositiveFloat | None = None  # Hz, if the keypoints' file does not contain it
     # degrees by which the camera is pitched down, which the prior's knowledge of upright poses needs
     looks_down: float = Field(default=0.0, gt=-90, lt=90)

@@ -1,6 +1,6 @@
 """Poses: a first pose in closed form, the optimiser, smoothing, and what the markers do not show.
 
-- `initial_motion`: first poses: hybrik, segment_registration, learned_ik
+- `initial_motion`: first poses: of segments registered to markers; hybrik, learned_ik
 - `motion_solver`: solve all frames of a take, and how certain they are
 - `window_solver`: the frames of one window: markers, prior and time
 - `pose_problem`: the terms of a body: its markers, prior and limits; the frames that changed

@@ -18,12 +18,12 @@ from mocapfix.model.motion import PoseEvidence, PoseUncertainty
 from mocapfix.model.subject import Subject
 from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics, smoothing
+from mocapfix.solve.initial_motion import register_poses
 from mocapfix.solve.kinematics import Poses, predict_markers
 from mocapfix.solve.lost_in_sight import find_lost_parts
 from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.parallel import order_from_gap_ends, order_independently
 from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, find_key_frames, list_posed_frames
-from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import TrackingTerm, compute_robust_costs
 from mocapfix.stats.rigid_alignment import compute_lengths
 from mocapfix.stats.sequences import find_runs, interpolate_rows

@@ -20,11 +20,6 @@ class PointFunction:
     # third is normal to the plane of the three. None for a mean.
     corner_weights: Float[np.ndarray, "3 n"] | None = None
 
-    @property
-    def is_mean(self) -> bool:
-        """Whether the point is a weighted mean of its parents."""
-        return self.corner_weights is None
-
     def evaluate(self, parents: Float[np.ndarray, "T n 3"]) -> Float[np.ndarray, "T 3"]:
         """Return the positions of the point for positions of its parents, NaN where one is missing."""
         mean = np.einsum("n,tnx->tx", self.weights, parents)

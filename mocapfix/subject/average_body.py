@@ -12,10 +12,10 @@ from mocapfix.model.marker_set import MarkerSet
 from mocapfix.model.skeleton import BodyModel, load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
+from mocapfix.solve.initial_motion import register_poses
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
-from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import build_joint_limit_term, build_pose_prior_term
 from mocapfix.stats.rigid_alignment import compute_lengths, compute_rotations, scale_rotations
 

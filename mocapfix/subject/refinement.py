@@ -25,12 +25,12 @@ from jaxtyping import Float, Int
 from mocapfix.model.skeleton import BodyModel, Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
+from mocapfix.solve.initial_motion import register_poses
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior
 from mocapfix.solve.minimise import SharedResponses, compute_shared_responses, minimise_shared
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_problem import PoseProblem, build_marker_problem
-from mocapfix.solve.segment_registration import register_poses
 from mocapfix.solve.terms import ShapeDeformations, build_no_joint_limits, build_pose_prior_term
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF, evaluate_matern
 from mocapfix.stats.sequences import sample_evenly

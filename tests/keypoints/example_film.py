@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.keypoints.film_solver import build_camera, build_camera_rotation
-from mocapfix.keypoints.keypoint_file import load_detector
+from mocapfix.keypoints.film_solver import build_camera, build_camera_rotation, load_detector
 from mocapfix.model.motion import Motion
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.solve.single_pose import Camera
@@ -25,7 +24,7 @@ MISSING_KEYPOINT_SHARE = 0.05  # of the keypoints
 def compose_example_film(
     detector_name: str, seconds: float, rate: float, seed: int = 0
 ) -> tuple[dict[str, Any], Float[np.ndarray, "T J 3"], Camera]:
-    """Return the contents of a JSON file for `keypoint_file.read_keypoints`, the true joints in metres and the true camera."""
+    """Return the contents of a JSON file for `film_solver.read_keypoints`, the true joints in metres and the true camera."""
     rng, take = np.random.default_rng(seed), compose_take(seed=seed, seconds=seconds, rate=rate)
     skeleton = take.subject.skeleton
     detector = load_detector(detector_name, skeleton)

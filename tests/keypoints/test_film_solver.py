@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.keypoints import film_solver, keypoint_file
+from mocapfix.keypoints import film_solver
 from mocapfix.keypoints.film_solver import ReprojectionProblem, build_camera_rotation
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import trained_priors
@@ -28,7 +28,7 @@ def composed(tmp_path_factory):
     film, joints, camera = compose_example_film("openpose", 1.0, RATE)
     path = tmp_path_factory.mktemp("film") / "film.json"
     path.write_text(json.dumps(film), encoding="utf-8")
-    return keypoint_file.read_keypoints(path, SKELETON), joints, camera
+    return film_solver.read_keypoints(path, SKELETON), joints, camera
 
 
 def build_problem(keypoints):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import ReadError, SceneError
-from mocapfix.keypoints import keypoint_file
+from mocapfix.keypoints import film_solver
 from mocapfix.model.skeleton import load_cmu31_body
 
 SKELETON = load_cmu31_body().skeleton
@@ -28,7 +28,7 @@ def write_json(path, content):
 
 
 def test_film_file_is_read(tmp_path):
-    found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film([person(3.0)], [person(4.0)])), SKELETON)
+    found = film_solver.read_keypoints(write_json(tmp_path / "a.json", film([person(3.0)], [person(4.0)])), SKELETON)
     assert (found.frame_count, found.rate_hz, found.image_size_px, found.detector.name) == (2, 25, (640, 480), "openpose")
     np.testing.assert_array_equal(found.position_px[1], [[4.0, 8.0]] * 25)
     np.testing.assert_array_equal(found.confidence, np.full((2, 25), 0.9))
@@ -36,30 +36,30 @@ def test_film_file_is_read(tmp_path):
 
 def test_coco_people_have_seventeen_points_under_their_key(tmp_path):
     content = film([person(3.0, points=17, key="keypoints")], order="coco", rate=None, image=None)
-    found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", content), SKELETON)
+    found = film_solver.read_keypoints(write_json(tmp_path / "a.json", content), SKELETON)
     assert (found.position_px.shape, found.rate_hz, found.image_size_px) == ((1, 17, 2), None, None)
 
 
 def test_openpose_folder_is_read_in_order_of_names(tmp_path):
     for name, x in (("b_000002_keypoints.json", 2.0), ("b_000001_keypoints.json", 1.0)):
         write_json(tmp_path / name, {"version": 1.3, "people": [{**person(x), "face_keypoints_2d": []}]})
-    found = keypoint_file.read_keypoints(tmp_path, SKELETON)
+    found = film_solver.read_keypoints(tmp_path, SKELETON)
     np.testing.assert_array_equal(found.position_px[:, 0, 0], [1.0, 2.0])
-    one = keypoint_file.read_keypoints(tmp_path / "b_000002_keypoints.json", SKELETON)
+    one = film_solver.read_keypoints(tmp_path / "b_000002_keypoints.json", SKELETON)
     assert (one.frame_count, one.rate_hz) == (1, None)
     np.testing.assert_array_equal(one.position_px[0, 0], [2.0, 4.0])
 
 
 def test_a_note_says_that_hands_are_not_read(tmp_path):
     hands = {"hand_left_keypoints_2d": [1.0, 2.0, 0.5] * 21}
-    assert keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film([person(3.0)])), SKELETON).notes == []
-    [note] = keypoint_file.read_keypoints(write_json(tmp_path / "b.json", film([person(3.0) | hands])), SKELETON).notes
+    assert film_solver.read_keypoints(write_json(tmp_path / "a.json", film([person(3.0)])), SKELETON).notes == []
+    [note] = film_solver.read_keypoints(write_json(tmp_path / "b.json", film([person(3.0) | hands])), SKELETON).notes
     assert "hands are not read" in note
 
 
 def test_one_person_is_tracked_among_several(tmp_path):
     frames = [[person(100.0, 0.3), person(10.0)], [person(11.0, 0.2), person(101.0)], [], [person(102.0), person(12.0)]]
-    found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film(*frames)), SKELETON)
+    found = film_solver.read_keypoints(write_json(tmp_path / "a.json", film(*frames)), SKELETON)
     np.testing.assert_array_equal(found.position_px[:, 0, 0], [10.0, 11.0, 0.0, 12.0])
     np.testing.assert_array_equal(found.confidence[:, 0], [0.9, 0.2, 0.0, 0.9])
 
@@ -67,16 +67,16 @@ def test_one_person_is_tracked_among_several(tmp_path):
 def test_tracking_continues_without_shared_points():
     last, other = np.zeros((25, 3)), np.zeros((25, 3))
     last[:5], other[5:] = 1.0, 2.0
-    np.testing.assert_array_equal(keypoint_file.track_person([last[None], other[None]], 25)[1], other)
+    np.testing.assert_array_equal(film_solver.track_person([last[None], other[None]], 25)[1], other)
 
 
 def test_confidence_is_clipped_to_one(tmp_path):
-    found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film([person(1.0, 1.3)])), SKELETON)
+    found = film_solver.read_keypoints(write_json(tmp_path / "a.json", film([person(1.0, 1.3)])), SKELETON)
     assert found.confidence.max() == 1
 
 
 def test_negative_confidence_is_clipped_to_zero(tmp_path):
-    found = keypoint_file.read_keypoints(
+    found = film_solver.read_keypoints(
         write_json(tmp_path / "a.json", film([person(1.0, 0.2)], [person(8.0, -1.0), person(2.0, 0.2)])), SKELETON
     )
     np.testing.assert_array_equal(found.position_px[:, 0, 0], [1.0, 2.0])
@@ -103,14 +103,14 @@ def test_negative_confidence_is_clipped_to_zero(tmp_path):
 )
 def test_errors_name_file_frame_and_key(tmp_path, content, message):
     with pytest.raises(ReadError, match=message):
-        keypoint_file.read_keypoints(write_json(tmp_path / "bad.json", content), SKELETON)
+        film_solver.read_keypoints(write_json(tmp_path / "bad.json", content), SKELETON)
 
 
 def test_empty_folder_and_missing_file_are_refused(tmp_path):
     with pytest.raises(ReadError, match="contains no keypoints"):
-        keypoint_file.read_keypoints(tmp_path, SKELETON)
+        film_solver.read_keypoints(tmp_path, SKELETON)
     with pytest.raises(ReadError, match=r"gone\.json: cannot be read"):
-        keypoint_file.read_keypoints(tmp_path / "gone.json", SKELETON)
+        film_solver.read_keypoints(tmp_path / "gone.json", SKELETON)
 
 
 BODY_25 = (
@@ -120,21 +120,21 @@ BODY_25 = (
 PAIRS = ("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
-def load_on_rest_pose(name: str) -> tuple[keypoint_file.KeypointDetector, np.ndarray]:
+def load_on_rest_pose(name: str) -> tuple[film_solver.KeypointDetector, np.ndarray]:
     """Return a detector and its points (V, 3) on the average body in its T-pose."""
     skeleton = load_cmu31_body().skeleton
     joints = np.zeros((31, 3))
     for j in range(1, 31):
         joints[j] = joints[skeleton.parents[j]] + skeleton.offsets[j]
-    detector = keypoint_file.load_detector(name, skeleton)
+    detector = film_solver.load_detector(name, skeleton)
     return detector, joints[detector.joints] + detector.offsets
 
 
 def test_points_are_in_the_detectors_order():
     skeleton = load_cmu31_body().skeleton
-    assert keypoint_file.load_detector("openpose", skeleton).labels == BODY_25
+    assert film_solver.load_detector("openpose", skeleton).labels == BODY_25
     sided = [f"{side}_{name}" for name in PAIRS for side in ("left", "right")]
-    assert keypoint_file.load_detector("coco", skeleton).labels == ("nose", *sided)
+    assert film_solver.load_detector("coco", skeleton).labels == ("nose", *sided)
 
 
 @pytest.mark.parametrize("name", ["openpose", "coco"])
@@ -166,7 +166,7 @@ def test_both_detectors_agree_on_shared_points():
 
 def test_unknown_detector_error_lists_the_known_ones():
     with pytest.raises(SceneError, match=r"Unknown keypoint order 'mpii'; choose one of: coco, openpose"):
-        keypoint_file.load_detector("mpii", load_cmu31_body().skeleton)
+        film_solver.load_detector("mpii", load_cmu31_body().skeleton)
 
 
 @pytest.mark.parametrize(
@@ -178,9 +178,9 @@ def test_unknown_detector_error_lists_the_known_ones():
     ],
 )
 def test_invalid_detector_file_error_names_the_key(tmp_path, monkeypatch, old, new, message):
-    text = (keypoint_file.find_shipped_folder("scenes") / "keypoints" / "openpose.yaml").read_text(encoding="utf-8")
+    text = (film_solver.find_shipped_folder("scenes") / "keypoints" / "openpose.yaml").read_text(encoding="utf-8")
     (tmp_path / "keypoints").mkdir()
     (tmp_path / "keypoints" / "mine.yaml").write_text(text.replace(old, new), encoding="utf-8")
-    monkeypatch.setattr(keypoint_file, "find_shipped_folder", lambda _: tmp_path)
+    monkeypatch.setattr(film_solver, "find_shipped_folder", lambda _: tmp_path)
     with pytest.raises(SceneError, match=message):
-        keypoint_file.load_detector("mine", load_cmu31_body().skeleton)
+        film_solver.load_detector("mine", load_cmu31_body().skeleton)

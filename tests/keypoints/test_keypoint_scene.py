@@ -7,7 +7,7 @@ import pytest
 
 from mocapfix.errors import ReadError, SceneError, TakeError, WriteError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.keypoints import keypoint_file, keypoint_scene
+from mocapfix.keypoints import film_solver, keypoint_scene
 from mocapfix.model.skeleton import load_cmu31_body
 from tests.keypoints import example_film
 from tests.keypoints.example_film import compose_example_film
@@ -33,7 +33,7 @@ def result(folder):
 def test_shipped_scene_is_valid_and_matches_the_example_film():
     path = find_shipped_folder("scenes") / "keypoints-2d.yaml"
     film = keypoint_scene.read_keypoint_scene(path)
-    found = keypoint_file.read_keypoints(path.parent / film.keypoints, load_cmu31_body().skeleton)
+    found = film_solver.read_keypoints(path.parent / film.keypoints, load_cmu31_body().skeleton)
     composed, _, _ = compose_example_film("openpose", 6.0, 30.0)
     people = [frame["people"][0]["pose_keypoints_2d"] for frame in composed["frames"]]
     points = np.array(people).reshape(180, 25, 3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import SceneError
-from mocapfix.keypoints.keypoint_file import load_detector
+from mocapfix.keypoints.film_solver import load_detector
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.subject.library import find_landmark, load_landmarks, load_marker_set
 

@@ -11,7 +11,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics, mean_pose
-from mocapfix.solve.segment_registration import register_poses
+from mocapfix.solve.initial_motion import register_poses
 from mocapfix.subject.library import load_marker_set
 from mocapfix.synthetic import compose_take
 from tests.kernels import random_terms
