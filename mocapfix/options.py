@@ -24,7 +24,8 @@ PRIOR_SCOPES = (PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR)
 INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "registration")
 DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
-CHARACTER_PRESETS = ("daz-g8", "daz-g9", "humanik", "metahuman", "mixamo", "rigify", "smpl", "unreal", "vrm")  # in scenes/rigs
+# in scenes/rigs
+CHARACTER_PRESETS = ("daz-g8", "daz-g9", "humanik", "metahuman", "mixamo", "rigify", "smpl", "smplx", "unreal", "vrm")
 ROBOT_SUFFIXES = (".xml", ".mjcf", ".urdf")  # of files that hold robots
 ROBOT_FORMAT_NAMES = ("robot-npz", "robot-csv", "robot-pkl")  # formats of a robot's motion; the first is always written
 EXTRA_FORMAT_NAMES = (

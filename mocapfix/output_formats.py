@@ -120,13 +120,15 @@ class OutputContent:
         return attach_hands(skeleton, motion, rate, self.exported_hands, self.input_take.rate)
 
     def measure_hands(self) -> "tuple[dict[str, HandPoses], list[str]]":
-        """Return the poses of the hands by side, at the rate of the motion, and sentences for the report."""
+        """Return the poses of the hands by side, as the motion is written, and sentences for the report."""
         from mocapfix.characters.character_files import convert_hand_motion, measure_animation_hands
 
-        if self.animation is not None:
-            return measure_animation_hands(self.animation, self.motion.rate)
         rates = self.input_take.rate, self.motion.rate
-        return {each.hand.model.side.lower(): convert_hand_motion(each, *rates) for each in self.hands}, []
+        hands, notes = {each.hand.model.side.lower(): convert_hand_motion(each, *rates) for each in self.hands}, list[str]()
+        if self.animation is not None:
+            hands, notes = measure_animation_hands(self.animation, self.motion.rate)
+        down = np.array([0.0, self.motion.floor_height_m, 0.0])
+        return {side: hand._replace(position=hand.position - down) for side, hand in hands.items()}, notes
 
     @property
     def exported_contacts(self) -> BodyContacts | None:
@@ -303,11 +305,12 @@ def _write_npz(target: Path, content: OutputContent) -> None:
     write_npz(target, lowered, *motion.parts, motion.subject.solved_joints, contacts, hands=hands)
 
 
-def _write_amass(target: Path, content: OutputContent) -> None:
+def _write_amass(target: Path, content: OutputContent) -> list[str]:
     from mocapfix.characters.amass import pose_smpl, write_amass  # few cleanings need it
 
-    solved, hands = content.motion.subject.solved_joints, content.exported_hands
-    write_amass(target, pose_smpl(*content.motion.parts, solved, hands, content.input_take.rate), content.motion.rate)
+    hands, notes = content.measure_hands()
+    write_amass(target, pose_smpl(*content.motion.parts, content.motion.subject.solved_joints, hands), content.motion.rate)
+    return notes
 
 
 def _write_bvh(target: Path, content: OutputContent) -> None:

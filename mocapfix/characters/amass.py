@@ -8,22 +8,21 @@ The model places its pelvis at J0 + trans, for J0 the place of the pelvis in the
 zero, the mean body; the arrays joint_* have the person's own proportions, with which the joints can be placed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
-from mocapfix.characters.character import SIDES, build_cmu31_character, convert_motion
-from mocapfix.characters.load_character import load_character_preset
+from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion, list_fingers
+from mocapfix.characters.character import build_cmu31_character, convert_motion
+from mocapfix.characters.fingers import HandPoses, fit_finger
+from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import build_solve_tree, spread_rotations
-from mocapfix.hands.hand_model import JOINTS_PER_RAY, RAYS
-from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.resampling import resample_motion
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, compute_local_rotations
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors
@@ -31,11 +30,8 @@ from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 MEAN_PELVIS_M = np.array([0.0031, -0.3514, 0.0120])
 """J0 of SMPL-X's neutral body with zero betas, as NVIDIA's Kimodo publishes its rest pose (SMPLX_REST_WORLD)"""
 ROTATION_Z_UP = Rotation.from_euler("x", 90, degrees=True).as_matrix()  # from axes with Y up to AMASS's
-HAND_RAYS = ("Index", "Middle", "Pinky", "Ring", "Thumb")  # in SMPL's order
-RAY_JOINTS = np.concatenate([JOINTS_PER_RAY * RAYS.index(ray) + np.arange(JOINTS_PER_RAY) for ray in HAND_RAYS])
 PART_STARTS = {"root_orient": 0, "pose_body": 1, "pose_jaw": 22, "pose_eye": 23, "pose_hand": 25}  # joints
-FACE_JOINTS = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
-JOINT_COUNT, BETA_COUNT = 55, 16
+BETA_COUNT = 16
 
 
 class SmplMotion(NamedTuple):
@@ -52,39 +48,41 @@ def pose_smpl(
     motion: Motion,
     rate: float,
     solved_joints: Bool[np.ndarray, " 31"],
-    hands: Sequence[HandMotion] = (),
-    hand_rate: float = 1.0,
+    hands: Mapping[str, HandPoses] = MappingProxyType({}),
 ) -> SmplMotion:
     """Return the motion of the 31-joint skeleton as that of SMPL-X's joints.
 
     Args:
         rate: Frames per second of the motion.
         solved_joints: The joints that the markers show.
-        hands: Hands with fingers, at `hand_rate` frames per second, which begin at the same time; wrists turn as their palms.
+        hands: Those with fingers, in the same frames, by side; wrists turn as their palms.
     """
-    source, target = build_body_frame(build_cmu31_character(skeleton)), build_body_frame(load_character_preset("smpl"))
+    model = load_character("smplx")
+    source, target = build_body_frame(build_cmu31_character(skeleton)), build_body_frame(model)
     segments, tree = compute_segment_motion(source, convert_motion(motion, rate)), build_solve_tree(target)
     world = spread_rotations(source, target, tree, segments) @ tree.standard_rotations.swapaxes(1, 2)
-    parents, count = tree.skeleton.parents, len(tree.bones)
-    names = [target.character.skeleton.names[bone] for bone in tree.bones]
-    rest = Skeleton(*_list_joints(names, parents), np.full((JOINT_COUNT, 3), np.nan), np.full((JOINT_COUNT, 3), np.nan))
-    is_solved, local = np.zeros(JOINT_COUNT, bool), np.tile(np.eye(3), (len(world), JOINT_COUNT, 1, 1))
+    names, parents, count = model.skeleton.names, model.skeleton.parents, len(tree.bones)
+    rest = Skeleton(names, parents, *np.full((2, len(names), 3), np.nan))
+    is_solved, local = np.zeros(len(names), bool), np.tile(np.eye(3), (len(world), len(names), 1, 1))
     segment_of_joint = [segment.partition(".") for segment in tree.skeleton.names]
     joints = [source.character.mapping.bones[segment][int(number or 0)] for segment, _, number in segment_of_joint]
-    above = [joints[max(parent, 0)] for parent in parents]
+    above = [joints[max(parent, 0)] for parent in parents[:count]]
     turns = np.stack([source.standard_rotations[joint] @ source.rest_rotation[joint].T for joint in above])
     rest.offsets[:count] = (turns @ (source.rest_position[joints] - source.rest_position[above])[..., None])[..., 0]
     is_solved[:count] = solved_joints[joints]
-    for hand in hands:
-        side, model = hand.hand.model.side.lower(), hand.hand.model
-        wrist, fingers = names.index(f"{side}_wrist"), rest.names.index(f"{side}_index1") + np.arange(len(RAY_JOINTS))
-        moved = resample_motion(hand.motion, hand_rate, rate)
-        world[:, wrist], local[:, fingers] = moved.local_rotations[:, 0], moved.local_rotations[:, 1 + RAY_JOINTS]
-        from_wrist = np.einsum("tji,tj->ti", world[:, wrist], moved.root_position - segments.position[f"{side}_hand"])
-        offsets = model.ray_offsets
-        offsets[::JOINTS_PER_RAY] += np.median(from_wrist, axis=0)
-        rest.offsets[fingers], is_solved[fingers] = offsets[RAY_JOINTS], True
-    local[:, :count] = compute_local_rotations(world, parents)
+    for side, hand in hands.items():
+        wrist = names.index(f"{side}_wrist")
+        world[:, wrist] = hand.palm
+        from_wrist = np.einsum("tji,tj->ti", hand.palm, hand.position - segments.position[f"{side}_hand"])
+        for name, finger in list_fingers(model, side).items():
+            bones = list(model.mapping.fingers[name])
+            if (turned := fit_finger(hand, side, finger, len(bones))) is not None:
+                local[:, bones] = np.concatenate([turned[:, :1], turned[:, :-1].swapaxes(-1, -2) @ turned[:, 1:]], axis=1)
+                is_solved[bones] = finger in hand.fingers
+            if len(offsets := hand.offsets.get(finger, ())) == len(bones):
+                rest.offsets[bones] = offsets
+                rest.offsets[bones[0]] += np.median(from_wrist, axis=0)
+    local[:, :count] = compute_local_rotations(world, parents[:count])
     return SmplMotion(rest, is_solved, segments.position["pelvis"], local)
 
 
@@ -112,13 +110,3 @@ def write_amass(target: Path, moved: SmplMotion, rate: float) -> None:
     }
     with replace_atomically(Path(target)) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
-
-
-def _list_joints(body: Sequence[str], parents: Int[np.ndarray, " 22"]) -> tuple[tuple[str, ...], Int[np.ndarray, " 55"]]:
-    """Return the names and parents of all joints from those of the body."""
-    names, above = [*body, *FACE_JOINTS], [*parents.tolist(), *[body.index("head")] * len(FACE_JOINTS)]
-    for side in SIDES:
-        for ray in HAND_RAYS:
-            above += [body.index(f"{side}_wrist"), *range(len(names), len(names) + JOINTS_PER_RAY - 1)]
-            names += [f"{side}_{ray.lower()}{number}" for number in range(1, JOINTS_PER_RAY + 1)]
-    return tuple(names), np.array(above)

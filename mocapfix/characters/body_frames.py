@@ -203,21 +203,28 @@ MIN_FINGER_MOTION = (
 )
 
 
-def measure_hand_poses(character: Character, rotation: Float[np.ndarray, "T J 3 3"]) -> dict[str, HandPoses]:
-    """Return the poses of the hands by side from the rotations of all bones in the world, of hands whose fingers move."""
+def measure_hand_poses(
+    character: Character, position: Float[np.ndarray, "T J 3"], rotation: Float[np.ndarray, "T J 3 3"]
+) -> dict[str, HandPoses]:
+    """Return the poses of the hands by side from places in metres and rotations of all bones, of hands whose fingers move."""
     mapping, rest = character.mapping, character.skeleton.compute_rest_pose()[1]
     sides = [side for side in SIDES if f"{side}_hand" in mapping.bones and list_fingers(character, side)]
     frame, found = build_body_frame(character, sides), dict[str, HandPoses]()
     for side in sides:
-        hand, posed, is_moving = frame.segment_bones[f"{side}_hand"], dict[str, np.ndarray](), False
+        hand, is_moving = frame.segment_bones[f"{side}_hand"], False
+        palm = rotation[:, hand] @ frame.standard_rotations[hand].T
+        posed, offsets = dict[str, np.ndarray](), dict[str, np.ndarray]()
         for name, finger in list_fingers(character, side).items():
             bones = list(mapping.fingers[name])
             relative = rotation[:, [hand]].swapaxes(-1, -2) @ rotation[:, bones]
             is_moving |= bool((np.abs(relative - rest[hand].T @ rest[bones]) > MIN_FINGER_MOTION).any())
             standard = np.stack([frame.standard_rotations[bone].T for bone in bones])
             posed[finger] = frame.standard_rotations[hand] @ relative @ standard
+            above = palm[:, None] @ np.concatenate([np.tile(np.eye(3), (len(palm), 1, 1, 1)), posed[finger][:, :-1]], axis=1)
+            vectors = np.diff(position[:, [hand, *bones]], axis=1)
+            offsets[finger] = np.median(np.einsum("tnji,tnj->tni", above, vectors), axis=0)
         if is_moving:
-            found[side] = HandPoses(rotation[:, hand] @ frame.standard_rotations[hand].T, posed)
+            found[side] = HandPoses(palm, posed, position[:, hand], offsets)
     return found
 
 

@@ -273,10 +273,12 @@ def _choose_ends(
 
 def convert_hand_motion(hand: HandMotion, hand_rate: float, rate: float) -> HandPoses:
     """Return the poses of a solved hand at another rate; both are in frames per second."""
-    rotations = resample_motion(hand.motion, hand_rate, rate).local_rotations
+    moved, offsets = resample_motion(hand.motion, hand_rate, rate), hand.hand.model.ray_offsets.reshape(len(FINGERS), -1, 3)
+    rotations = moved.local_rotations
     first, second, third = (rotations[:, 1 + joint :: JOINTS_PER_RAY] for joint in range(JOINTS_PER_RAY))
     turned = np.stack([first, first @ second, first @ second @ third], axis=2)
-    return HandPoses(rotations[:, 0], {finger: turned[:, k] for k, finger in enumerate(FINGERS)})
+    fingers = {finger: turned[:, k] for k, finger in enumerate(FINGERS)}
+    return HandPoses(rotations[:, 0], fingers, moved.root_position, dict(zip(FINGERS, offsets, strict=True)))
 
 
 def measure_animation_hands(animation: Animation, rate: float) -> tuple[dict[str, HandPoses], list[str]]:
@@ -291,11 +293,18 @@ def measure_animation_hands(animation: Animation, rate: float) -> tuple[dict[str
         if missing := sorted({*character.skeleton.names} - {*names}):
             raise SceneError(f"{animation.name}: the file has changed since it was read: {format_name_list(missing)}.")
     except (ReadError, SceneError) as error:
-        return {}, [f"The fingers of {animation.name} are not on characters: {error}"]
-    none = np.zeros(animation.frame_count, int)
-    world = animation.compute_world_poses()[1][:, [names.index(name) for name in character.skeleton.names]]
-    motion = Motion(np.zeros((len(none), 3)), world, none, none, np.zeros((len(none), 0)), np.zeros(world.shape[:2]))
-    return measure_hand_poses(character, resample_motion(motion, animation.rate, rate).local_rotations), []
+        return {}, [f"The fingers of {animation.name} are not on other skeletons: {error}"]
+    joints = [names.index(name) for name in character.skeleton.names]
+    hands = measure_hand_poses(character, *(each[:, joints] for each in animation.compute_world_poses()))
+    return {side: _resample_hand_poses(hand, animation.rate, rate) for side, hand in hands.items()}, []
+
+
+def _resample_hand_poses(hand: HandPoses, hand_rate: float, rate: float) -> HandPoses:
+    rotations, none = np.concatenate([hand.palm[:, None], *hand.fingers.values()], axis=1), np.zeros(len(hand.palm), int)
+    motion = Motion(hand.position, rotations, none, none, np.zeros((len(none), 0)), np.zeros(rotations.shape[:2]))
+    moved, counts = resample_motion(motion, hand_rate, rate), [each.shape[1] for each in hand.fingers.values()]
+    palm, *fingers = np.split(moved.local_rotations, np.cumsum([1, *counts])[:-1], axis=1)
+    return hand._replace(palm=palm[:, 0], fingers=dict(zip(hand.fingers, fingers, strict=True)), position=moved.root_position)
 
 
 OTHER_SUFFIXES = ("bvh", "npz", "map.yaml")  # of the files beside the GLB

@@ -51,6 +51,9 @@ class HandPoses(NamedTuple):
 
     palm: Float[np.ndarray, "T 3 3"]  # from the palm's axes to the world's: those of the hand's segment
     fingers: Mapping[str, Float[np.ndarray, "T n 3 3"]]  # by finger, one of FINGERS: S of its bones relative to the palm
+    position: Float[np.ndarray, "T 3"]  # of the palm in the world, metres
+    # by finger: each bone from the one before, the first from the palm's position, in the axes of S, metres
+    offsets: Mapping[str, Float[np.ndarray, "n 3"]]
 
 
 def find_fingers(
@@ -75,6 +78,24 @@ def find_fingers(
             turning = _select_turning_bones([names[bone] for bone in chain], positions[[hand[-1], *chain]], finger)
             if len(turning) in FINGER_BONE_COUNTS:
                 found[f"{side}_{finger}"] = tuple(chain[k] for k in turning)
+    return found
+
+
+def find_palms(
+    names: Sequence[str], parents: Int[np.ndarray, " J"], bones: Mapping[str, tuple[int, ...]]
+) -> dict[str, tuple[int, ...]]:
+    """Return the bones of the segments, where a hand is the bone beyond the forearm that carries the named fingers.
+
+    A body with hands, as it is written here, has its wrist and its palm beside each other.
+    """
+    found = dict(bones)
+    for side in SIDES:
+        forearm, hand = bones[f"{side}_forearm"][-1], bones.get(f"{side}_hand", (-1,))[-1]
+        beside = [k for k in range(len(names)) if is_below(k, forearm, parents) and hand not in list_path(k, forearm, parents)]
+        chains = _find_named_chains(names, parents, beside).values()
+        palms = {int(parents[chain[0]]) for chain in chains if len(chain) >= FINGER_BONE_COUNTS[0]}
+        if len(palms) == 1 and palms.issubset(beside):
+            found[f"{side}_hand"] = (palms.pop(),)
     return found
 
 

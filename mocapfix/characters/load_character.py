@@ -29,7 +29,7 @@ from mocapfix.characters.character import (
 )
 from mocapfix.characters.character_yaml import apply_mapping_file, has_fingers, read_character_yaml, read_feet_flat
 from mocapfix.characters.fbx import convert_fbx, is_fbx
-from mocapfix.characters.fingers import find_fingers
+from mocapfix.characters.fingers import find_fingers, find_palms
 from mocapfix.characters.read_gltf import is_gltf, open_gltf, parse_character_gltf, read_gltf_skeletons
 from mocapfix.characters.rest_poses import choose_rest_pose
 from mocapfix.errors import ReadError, SceneError, format_name_list
@@ -193,7 +193,9 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
         if mapping_path is not None:
             character = apply_mapping_file(mapping_path, character)
         elif character.mapping.missing_segments:
-            character = replace(character, mapping=map_bones(character))
+            mapping = map_bones(character)
+            mapping = replace(mapping, bones=find_palms(skeleton.names, character.skeleton.parents, mapping.bones))
+            character = replace(character, mapping=mapping)
         if mapping_path is None or not has_fingers(mapping_path):
             tree, mapping = character.skeleton, character.mapping
             fingers = find_fingers(tree.names, tree.parents, tree.rest_positions, mapping.bones)

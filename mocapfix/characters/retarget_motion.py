@@ -275,7 +275,7 @@ def retarget_motion(
             pose.
     """
     if hands is None:
-        hands = measure_hand_poses(source, compute_character_poses(source, motion)[1]) if source.mapping.fingers else {}
+        hands = measure_hand_poses(source, *compute_character_poses(source, motion)) if source.mapping.fingers else {}
     posed = [side for side in hands if list_fingers(target, side)]
     frames = build_body_frame(source), build_body_frame(target, posed)
     tree = build_solve_tree(frames[1])

@@ -16,20 +16,22 @@ def open_file(path: str, scale: float, rate: float):
     elif path.endswith(".fbx"):
         bpy.ops.preferences.addon_enable(module="io_scene_fbx")
         bpy.ops.import_scene.fbx(filepath=path)
+    elif path.endswith(".usdc"):
+        bpy.ops.wm.usd_import(filepath=path)
     else:
         bpy.context.scene.render.fps = round(rate)
         bpy.ops.import_scene.gltf(filepath=path)
     return next(each for each in bpy.data.objects if each.type == "ARMATURE")
 
 
-def read_heads(armature, frame: float) -> dict[str, list[float]]:
-    """Return the heads of the bones in the world, in metres, at a frame of the scene."""
+def read_ends(armature, frame: float, end: str) -> dict[str, list[float]]:
+    """Return the heads or tails of the bones in the world, in metres, at a frame of the scene."""
     bpy.context.scene.frame_set(int(frame), subframe=frame - int(frame))
-    return {bone.name: list(armature.matrix_world @ bone.head) for bone in armature.pose.bones}
+    return {bone.name: list(armature.matrix_world @ getattr(bone, end)) for bone in armature.pose.bones}
 
 
 def answer(job: dict) -> dict:
-    """Return heads in some frames of the motion, the rate, and the number of frames."""
+    """Return heads and tails in some frames of the motion, the rate, and the number of frames."""
     armature, render = open_file(job["path"], job["scale"], job["rate"]), bpy.context.scene.render
     first, last = armature.animation_data.action.frame_range
     return {
@@ -39,7 +41,7 @@ def answer(job: dict) -> dict:
         "action": armature.animation_data.action.name,
         "objects": sorted(each.type for each in bpy.context.scene.objects),
         "meshes": sum(each.type == "MESH" and bool(each.modifiers) for each in bpy.data.objects),
-        "heads": [read_heads(armature, first + frame) for frame in job["frames"]],
+        **{f"{end}s": [read_ends(armature, first + frame, end) for frame in job["frames"]] for end in ("head", "tail")},
     }
 
 

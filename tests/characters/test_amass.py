@@ -6,9 +6,15 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.alignment import pose_skeleton
 from mocapfix.characters.amass import pose_smpl, write_amass
+from mocapfix.characters.character import build_cmu31_character, convert_motion
+from mocapfix.characters.character_files import convert_hand_motion, measure_animation_hands, write_character_bvh
+from mocapfix.characters.load_character import load_character
+from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.hands.hand_model import HAND_JOINTS
+from mocapfix.io.bvh import read_bvh
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
+from mocapfix.options import ReadOptions
 from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.synthetic import compose_take
 from tests.hands.test_attach_hands import RATE_HZ, compose_hands_on_body
@@ -131,7 +137,8 @@ def test_keys_are_those_of_both_releases(tmp_path):
 def test_fingers_are_where_they_were_solved_in_the_order_of_smpl(tmp_path, step):
     skeleton, motion, hands = compose_hands_on_body()
     frames = np.arange(0, motion.frame_count, step)
-    found = write_and_read(tmp_path, skeleton, motion.select_frames(frames), RATE_HZ / step, ALL_JOINTS, hands, RATE_HZ)
+    poses = {hand.hand.model.side.lower(): convert_hand_motion(hand, RATE_HZ, RATE_HZ / step) for hand in hands}
+    found = write_and_read(tmp_path, skeleton, motion.select_frames(frames), RATE_HZ / step, ALL_JOINTS, poses)
     position, rotation = place_joints(found)
     order = np.concatenate([3 * ray + np.arange(3) for ray in (1, 2, 4, 3, 0)])  # of thumb, index, middle, ring, pinky
     for hand, first, wrist in zip(hands, (25, 40), (20, 21), strict=True):
@@ -140,7 +147,33 @@ def test_fingers_are_where_they_were_solved_in_the_order_of_smpl(tmp_path, step)
         from_palm = solved - hand.palm_position[frames, None]
         shift = position[:, first : first + 15] - position[:, [wrist]] - from_palm[:, order]
         palm = found["joint_offsets"][first] - hand.hand.model.ray_offsets[3]
+        assert np.isfinite(palm).all()
         np.testing.assert_allclose(shift @ rotation[:, wrist], np.broadcast_to(palm, shift.shape), atol=1e-9)
+
+
+def test_fingers_of_a_bvh_are_those_of_the_solved_hands(tmp_path):
+    skeleton, motion, hands = compose_hands_on_body()
+    character = load_character("mixamo")
+    poses = {hand.hand.model.side.lower(): convert_hand_motion(hand, RATE_HZ, RATE_HZ) for hand in hands}
+    moved = retarget_motion(build_cmu31_character(skeleton), convert_motion(motion, RATE_HZ), character, hands=poses)
+    write_character_bvh(tmp_path / "hero.bvh", character, moved)
+    found_hands, notes = measure_animation_hands(
+        read_bvh(tmp_path / "hero.bvh", options=ReadOptions(unit="cm", up_axis="Y")), RATE_HZ
+    )
+    assert notes == []
+    found = write_and_read(tmp_path, skeleton, motion, RATE_HZ, ALL_JOINTS, found_hands)
+    position, rotation = place_joints(found)
+    names = list(found["joint_names"])
+    for side in ("left", "right"):
+        for finger in ("thumb", "index", "pinky"):
+            joints = [names.index(f"{side}_{finger}{number}") for number in (1, 2, 3)]
+            bones = list(character.mapping.fingers[f"{side}_{finger}"])
+            relative = rotation[:, [names.index(f"{side}_wrist")]].swapaxes(-1, -2) @ rotation[:, joints]
+            np.testing.assert_allclose(relative, poses[side].fingers[finger], atol=0.02)
+            lengths = np.linalg.norm(np.diff(position[:, joints], axis=1), axis=2)
+            own = np.linalg.norm(np.diff(character.skeleton.rest_positions[bones], axis=0), axis=1)
+            np.testing.assert_allclose(lengths, np.broadcast_to(own, lengths.shape), atol=1e-6)
+    assert found["joint_solved"][25:].all()
 
 
 def test_joints_without_markers_are_named(tmp_path):

@@ -20,6 +20,7 @@ ARM_CHAINS = {
     "mixamo": "mixamorig:Spine2 mixamorig:LeftShoulder mixamorig:LeftArm mixamorig:LeftForeArm mixamorig:LeftHand",
     "rigify": "DEF-spine.003 DEF-shoulder.L DEF-upper_arm.L DEF-upper_arm.L.001 DEF-forearm.L DEF-forearm.L.001 DEF-hand.L",
     "smpl": "spine3 left_collar left_shoulder left_elbow left_wrist left_hand",
+    "smplx": "spine3 left_collar left_shoulder left_elbow left_wrist left_index1 left_index2 left_index3",
     "unreal": "spine_05 clavicle_l upperarm_l lowerarm_l hand_l middle_metacarpal_l middle_01_l",
     "vrm": "upperChest leftShoulder leftUpperArm leftLowerArm leftHand leftThumbMetacarpal leftThumbProximal leftThumbDistal",
 }
@@ -31,17 +32,18 @@ LEG_CHAINS = {
     "mixamo": "mixamorig:Hips mixamorig:LeftUpLeg mixamorig:LeftLeg mixamorig:LeftFoot mixamorig:LeftToeBase",
     "rigify": "DEF-spine DEF-thigh.L DEF-thigh.L.001 DEF-shin.L DEF-shin.L.001 DEF-foot.L DEF-toe.L",
     "smpl": "pelvis left_hip left_knee left_ankle left_foot",
+    "smplx": "pelvis left_hip left_knee left_ankle left_foot",
     "unreal": "root pelvis thigh_l calf_l foot_l ball_l",
     "vrm": "hips leftUpperLeg leftLowerLeg leftFoot leftToes",
 }
 SPINE_AND_NECK_COUNTS = {
     "daz-g8": (4, 2), "daz-g9": (4, 2), "humanik": (3, 1), "metahuman": (5, 2), "mixamo": (3, 1), "rigify": (3, 2),
-    "smpl": (3, 1), "unreal": (5, 2), "vrm": (3, 1),
+    "smpl": (3, 1), "smplx": (3, 1), "unreal": (5, 2), "vrm": (3, 1),
 }  # fmt: skip
-T_POSES = ("humanik", "mixamo", "smpl", "vrm")
-UNITS_M = {"rigify": 1.0, "smpl": 1.0, "vrm": 1.0}
+T_POSES = ("humanik", "mixamo", "smpl", "smplx", "vrm")
+UNITS_M = {"rigify": 1.0, "smpl": 1.0, "smplx": 1.0, "vrm": 1.0}
 Z_UP = ("metahuman", "rigify", "unreal")
-WORLD_AXES = ("humanik", "smpl", "vrm")
+WORLD_AXES = ("humanik", "smpl", "smplx", "vrm")
 MIN_HEIGHT_M, MAX_HEIGHT_M = 1.65, 1.85
 
 

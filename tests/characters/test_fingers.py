@@ -11,18 +11,19 @@ from mocapfix.characters.body_frames import measure_hand_poses
 from mocapfix.characters.character import FINGERS, SIDES, compute_character_poses
 from mocapfix.characters.character_files import convert_hand_motion, measure_animation_hands, write_character_bvh
 from mocapfix.characters.character_yaml import read_mapping_file, write_mapping_file
-from mocapfix.characters.fingers import HandPoses, compute_straight_finger, find_fingers, has_named_fingers
+from mocapfix.characters.fingers import HandPoses, compute_straight_finger, find_fingers, find_palms, has_named_fingers
 from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
 from mocapfix.errors import SceneError
 from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, load_hand
-from mocapfix.hands.solve_hands import solve_hand
-from mocapfix.io.bvh import read_bvh
+from mocapfix.hands.solve_hands import attach_hands, solve_hand
+from mocapfix.io.bvh import read_bvh, write_bvh_tree
 from mocapfix.model.skeleton import Skeleton, decompose_transforms
 from mocapfix.options import CHARACTER_PRESETS, ReadOptions
-from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
+from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses, compute_world_poses
 from tests.characters.walking_body import load_walk
 from tests.hands.composed_hands import FRAMES, RATE_HZ, build_hand, carry_markers, compose_poses
+from tests.hands.test_attach_hands import compose_hands_on_body
 
 CLOSE_DEG = 1.0
 
@@ -84,7 +85,7 @@ def compose_hands(count):
         found = convert_hand_motion(solved, RATE_HZ, RATE_HZ)
         every = np.arange(count) % FRAMES
         fingers = {name: each[every] for name, each in found.fingers.items()}
-        hands[side.lower()] = HandPoses(found.palm[every], fingers)
+        hands[side.lower()] = HandPoses(found.palm[every], fingers, found.position[every], found.offsets)
     return hands
 
 
@@ -203,7 +204,7 @@ def test_one_bent_finger_bends_alone(walk):
     axes = model.skeleton.rest_rotations[RAY_ROOTS[3]]
     straight = {name: np.tile(np.eye(3), (count, 3, 1, 1)) for name in FINGERS}
     ring = np.tile(axes @ bent @ axes.T, (count, 3, 1, 1))
-    hands = {"left": HandPoses(flexed["left"].palm, straight | {"ring": ring})}
+    hands = {"left": flexed["left"]._replace(fingers=straight | {"ring": ring})}
     posed = retarget_motion(source, motion, target, hands=hands)
     for finger in FINGERS:
         along, _ = compute_straight_finger("left", finger)
@@ -256,7 +257,7 @@ def test_fingers_go_from_one_character_to_another(walk, name, other):
     posed = retarget_motion(source, motion, first, hands=hands)
     moved = retarget_motion(first, posed, second)
     for side in SIDES:
-        palms = [measure_hand_poses(c, compute_character_poses(c, m)[1])[side].palm for c, m in ((first, posed), (second, moved))]
+        palms = [measure_hand_poses(c, *compute_character_poses(c, m))[side].palm for c, m in ((first, posed), (second, moved))]
         for finger in FINGERS:
             directions = [
                 np.einsum("tab,tka->tkb", palm, measure_directions(c, m, side, finger))[:, :2]  # tips of presets may be missing
@@ -307,10 +308,35 @@ def test_only_whole_words_name_fingers(names, has_fingers):
     assert has_named_fingers(names, np.arange(-1, len(names) - 1)) == has_fingers
 
 
+def test_fingers_of_a_bvh_of_a_body_point_as_the_solved_ones(tmp_path):
+    skeleton, motion, hands = compose_hands_on_body()
+    positions, moved = compute_world_poses(skeleton, motion)[0], []
+    for hand in hands:
+        wrist = positions[:, skeleton.find_joint(f"{hand.hand.model.side}FingerBase")]
+        points = hand.point_positions + (wrist - hand.palm_position)[:, None]
+        moved.append(replace(hand, palm_position=wrist, point_positions=points))
+    hands = tuple(moved)
+    write_bvh_tree(tmp_path / "body.bvh", *attach_hands(skeleton, motion, RATE_HZ, hands, RATE_HZ), RATE_HZ)
+    found, notes = measure_animation_hands(read_bvh(tmp_path / "body.bvh", options=ReadOptions(unit="cm", up_axis="Y")), RATE_HZ)
+    assert notes == []
+    for hand in hands:
+        side, points = hand.hand.model.side.lower(), hand.point_positions
+        np.testing.assert_allclose(found[side].position, hand.palm_position, atol=1e-6)
+        for ray, finger in enumerate(FINGERS):
+            straight, lengths = compute_straight_finger(side, finger)
+            directions = found[side].palm[:, None] @ found[side].fingers[finger] @ straight
+            solved = np.diff(np.stack([*points[:, 3 * ray : 3 * ray + 3].swapaxes(0, 1), points[:, 15 + ray]], axis=1), axis=1)
+            assert compute_angles_deg(directions, solved).max() < 0.01
+            np.testing.assert_allclose(np.linalg.norm(found[side].offsets[finger][1:], axis=1), lengths[:2], atol=1e-6)
+    none = {segment: bones for segment, bones in load_character("mixamo").mapping.bones.items() if "hand" not in segment}
+    mixamo = load_character("mixamo").skeleton
+    assert find_palms(mixamo.names, mixamo.parents, none) == load_character("mixamo").mapping.bones
+
+
 def test_fingers_that_never_move_are_no_motion():
     character = load_character("mixamo")
-    rotation = character.skeleton.compute_rest_pose()[1]
-    assert measure_hand_poses(character, np.tile(rotation, (5, 1, 1, 1))) == {}
+    position, rotation = character.skeleton.compute_rest_pose()
+    assert measure_hand_poses(character, np.tile(position, (5, 1, 1)), np.tile(rotation, (5, 1, 1, 1))) == {}
 
 
 def test_a_mapping_file_gives_the_fingers(tmp_path):

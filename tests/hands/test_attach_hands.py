@@ -1,5 +1,7 @@
 """Hands in BVH: every joint and tip at its solved place in the world, beside the body's own joints, which do not change."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -67,10 +69,31 @@ def test_joints_and_tips_of_a_bvh_are_where_they_were_solved(tmp_path, step):
     np.testing.assert_allclose(positions[:, body], compute_world_poses(skeleton, selected)[0], atol=1e-6)
 
 
-def test_a_cleaned_take_has_its_hands_in_the_bvh_above_the_floor(tmp_path):
-    write_c3d(tmp_path / "take.c3d", select_frames(compose_hands(seed=1).take, slice(0, 300)))
+def read_bvh_text(path):
+    """Return the text of each joint's offset and channels, by joint."""
+    hierarchy, _, motion = path.read_text(encoding="utf-8").partition("MOTION\n")
+    joints = re.findall(r"(?:ROOT|JOINT) (\S+)\s*{\s*OFFSET (.*)\s*CHANNELS (\d)", hierarchy)
+    rows = [line.split() for line in motion.splitlines()[2:]]
+    ends = np.cumsum([int(count) for *_, count in joints]).tolist()
+    return {
+        name: (offset, [row[end - int(count) : end] for row in rows])
+        for (name, offset, count), end in zip(joints, ends, strict=True)
+    }
+
+
+def test_a_cleaned_take_has_its_hands_in_the_bvh_and_the_same_body_as_without_finger_markers(tmp_path):
+    take = select_frames(compose_hands(seed=1).take, slice(0, 300))
+    write_c3d(tmp_path / "take.c3d", take)
     result = pipeline.clean(tmp_path / "take.c3d", floor_height_m=0.25)
     written = result.write(tmp_path / "out", options=result.requested.output)
+    body = np.array([m for m, label in enumerate(take.labels) if label[1:4] not in ("THM", "IDX", "MID", "RNG", "PNK")])
+    assert len(body) == 53
+    write_c3d(tmp_path / "body.c3d", take.select(body, take.visible[:, body]))
+    bare = pipeline.clean(tmp_path / "body.c3d", floor_height_m=0.25)
+    without = read_bvh_text(bare.write(tmp_path / "bare", options=bare.requested.output)["bvh"])
+    assert len(without) == 31
+    assert without == {name: text for name, text in read_bvh_text(written["bvh"]).items() if name in without}
+    assert result.output_take.markers[:, body].tobytes() == bare.output_take.markers.tobytes()
     read = read_back(written["bvh"])
     for hand in result.hands:
         assert measure_distances(read, hand.lower_floor(0.25), np.arange(300)).max() < 1e-6
