@@ -119,7 +119,12 @@ def run_bench_uncertainty(
 
 
 def run_bench_hands(
-    people: Annotated[int, tyro.conf.arg(metavar="N", help="number of people")] = 6, as_json: JsonOption = False
+    people: Annotated[int, tyro.conf.arg(metavar="N", help="number of people")] = 6,
+    rigs: Annotated[
+        tuple[Path, ...],
+        tyro.conf.arg(metavar="FILE", help="characters whose hands the people have; the markers are solved alone"),
+    ] = (),
+    as_json: JsonOption = False,
 ) -> int:
     """Solve the fingers of composed people, whose hands are not the model's, from 2 to 20 finger markers and 42 keypoints.
 
@@ -127,11 +132,13 @@ def run_bench_hands(
     deviation and 95 % within two. Labels: exchanges that are undone, ghosts that are found, and right samples that are changed.
     """
     from mocapfix.lab.finger_labels import measure_finger_labels
-    from mocapfix.lab.hands import measure_finger_fills, measure_hands, measure_keypoints
+    from mocapfix.lab.hands import measure_finger_fills, measure_hands, measure_keypoints, read_rig_hands
 
     if people < 1:
         return print_usage_error(f"bench hands: --people must be at least 1, not {people}.")
     with show_progress("hands") as progress:
+        if hands := {each.stem: read_rig_hands(each) for each in rigs}:
+            return print_results({each: measure_hands(range(people), progress, rig) for each, rig in hands.items()}, as_json)
         solved = measure_hands(range(people), progress) | measure_keypoints(range(people), progress)
         results = {"hands": solved, "fills": measure_finger_fills(range(people), progress)}
         results["labels"] = measure_finger_labels(range(people), progress)

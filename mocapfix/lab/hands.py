@@ -4,9 +4,11 @@ Of each person, lengths of bones, directions of rays, axes of joints, coupling o
 places of markers are drawn from published spreads (priors/hand.md). Joints turn about two axes, one after the other, an end joint
 follows the joint before it by a share that changes with the grip, and markers slide on the skin. The hands make fists, points,
 pinches, grips, counting, playing of a piano and waving, and hang while the person walks. Gaps have the lengths of productions.
+
+The bones and axes of fingers may also be those of a character, whose author knew no model of ours.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,10 +20,15 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from mocapfix.characters.body_frames import build_body_frame
+from mocapfix.characters.character import FINGERS
+from mocapfix.characters.fingers import measure_finger
+from mocapfix.characters.load_character import load_character
+from mocapfix.errors import SceneError
 from mocapfix.hands.calibrated_hand import CalibratedHand, PalmPath
 from mocapfix.hands.closed_form import pose_in_closed_form
 from mocapfix.hands.finger_markers import SIDES, FingerMarkers, load_finger_schemes
-from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, RAYS, TIP_JOINTS, Side, load_hand
+from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, RAYS, TIP_JOINTS, HandModel, Side, load_hand
 from mocapfix.hands.solve_hands import HandMotion, solve_hands
 from mocapfix.io.c3d import write_c3d
 from mocapfix.lab.uncertainty import PredictedErrors, summarise_errors
@@ -36,6 +43,7 @@ from mocapfix.stats.rigid_alignment import (
     align_to_shape,
     compute_lengths,
     compute_rotations,
+    compute_shortest_rotation,
     fit_common_shape,
     transform_to_body_axes,
 )
@@ -60,6 +68,8 @@ BODY_KEYPOINT_SD_M, HAND_KEYPOINT_SD_M, LOST_KEYPOINT_SHARE = 0.02, 0.008, 0.1  
 FINGER_NOISE_MM = (0, 5, 10)  # maximum along each axis: phalanges are 16 to 45 mm long
 FINGER_POSES = 2000
 FINGER_VARIANTS: tuple[HybrikVariant, HybrikVariant] = ("naive", "adaptive")
+MIN_AXIS_COSINE = np.cos(np.radians(30))
+"""of the angle between an axis of a rig's bone and that of the model's joint, from which it is the axis of flexion"""
 MARKER_COUNTS = {  # of a hand pair, and the labels of a left hand
     20: ("LTHM3", "LTHM6", "LIDX3", "LIDX6", "LMID0", "LMID6", "LRNG3", "LRNG6", "LPNK3", "LPNK6"),
     10: ("LTHM6", "LIDX6", "LMID6", "LRNG6", "LPNK6"),
@@ -92,6 +102,47 @@ class TrueHand(NamedTuple):
     markers: Float[np.ndarray, "T K 3"]
     labels: tuple[str, ...]
     is_lost: Bool[np.ndarray, "T K"]  # the samples that the take lacks
+
+
+class RigHand(NamedTuple):
+    """The hand of a rig as a person's: of its first bones the lengths, places and directions in the rest pose."""
+
+    model: HandModel  # of the model's length
+    axis_tilts: Float[np.ndarray, "15 3 3"]  # from the axes of the model's joints to those of the rig's bones
+    flexions: Float[np.ndarray, " 15"]  # rad, of the bones in the rest pose
+
+
+def read_rig_hands(path: Path) -> dict[Side, RigHand]:
+    """Return the hands of a character. Raises SceneError if a finger has not three bones."""
+    character = load_character(path)
+    frame, found = build_body_frame(character, [side.lower() for side in SIDES]), dict[Side, RigHand]()
+    for side in SIDES:
+        model, hand = load_hand(side), frame.segment_bones[f"{side.lower()}_hand"]
+        straight, palm = model.skeleton, frame.standard_rotations[hand] @ frame.rest_rotation[hand].T
+        rest, offsets, tips = (each.copy() for each in (straight.rest_rotations, straight.offsets, straight.ends))
+        tilts, bends = np.tile(np.eye(3), (len(HAND_JOINTS), 1, 1)), np.zeros((len(HAND_JOINTS), 3))
+        for ray, (finger, root) in enumerate(zip(FINGERS, RAY_ROOTS.tolist(), strict=True)):
+            bones = list(character.mapping.fingers.get(f"{side.lower()}_{finger}", ()))
+            if len(bones) != JOINTS_PER_RAY:
+                raise SceneError(f"{path.name}: the {finger} of the {side.lower()} hand needs three bones.")
+            usual = straight.rest_rotations[root]
+            vectors = measure_finger(character, frame.rest_position, frame.rest_end, f"{side.lower()}_{finger}") @ palm.T
+            rest[root] = compute_shortest_rotation(usual @ straight.offsets[root + 2], vectors[0]) @ usual
+            base, joints = palm @ (frame.rest_position[bones[0]] - frame.rest_position[hand]), slice(3 * ray, 3 * ray + 3)
+            offsets[root if ray == 0 else root + 1] = base if ray == 0 else rest[root].T @ base
+            offsets[root + 2], offsets[root + 3], tips[root + 3] = vectors @ rest[root]
+            for joint, axes in enumerate(palm @ frame.rest_rotation[bones]):
+                own = rest[root].T @ axes  # the bone turns about that of its axes which is the nearest to the model's
+                nearest = own[:, np.abs(own[2]).argmax()]
+                if abs(nearest[2]) > MIN_AXIS_COSINE:
+                    tilts[3 * ray + joint] = compute_shortest_rotation(np.array([0, 0, 1.0]), nearest * np.sign(nearest[2]))
+            lines = np.concatenate([[straight.offsets[root + 2]], vectors @ usual])
+            bends[joints, 2] = np.diff(np.unwrap(np.arctan2(lines[:, 1], lines[:, 0])))
+        chain = RAY_ROOTS[RAYS.index("Middle")] + np.arange(1, 4)
+        size = model.length_m / compute_lengths(np.concatenate([offsets[chain], tips[chain[-1:]]])).sum()
+        skeleton = replace(straight, rest_rotations=rest, offsets=size * offsets, ends=size * tips)
+        found[side] = RigHand(replace(model, skeleton=skeleton), tilts, model.compute_angles(bends)[:, 2])
+    return found
 
 
 class TrueHands(NamedTuple):
@@ -135,27 +186,32 @@ def draw_hand(
     wrist: Float[np.ndarray, "T 3"],
     axes_world: Float[np.ndarray, "T 3 3"],
     size_ratio: float,
+    rig: RigHand | None = None,
 ) -> TrueHand:
-    """Return a hand at a wrist, in metres, whose palm has nearly these axes."""
-    model, frames = load_hand(side), len(wrist)
+    """Return a hand at a wrist, in metres, whose palm has nearly these axes: that of a rig, or one that is drawn."""
+    model, frames, spread = rig.model if rig else load_hand(side), len(wrist), 0.0 if rig else 1.0
     size = size_ratio * rng.normal(1, LENGTH_SD)
-    hand = model.scale(size * rng.normal(1, BONE_SD, 20))
+    hand = model.scale(size * rng.normal(1, spread * BONE_SD, 20))
     skeleton, angles = hand.skeleton, compose_angles(rng, frames)
     rest, offsets = skeleton.rest_rotations.copy(), skeleton.offsets.copy()
-    tilts = Rotation.from_rotvec(rng.normal(0, np.radians(RAY_SD_DEG), (5, 3))).as_matrix()
+    tilts = Rotation.from_rotvec(rng.normal(0, spread * np.radians(RAY_SD_DEG), (5, 3))).as_matrix()
     rest[RAY_ROOTS] = rest[RAY_ROOTS] @ tilts
-    offsets[RAY_ROOTS[0]] += rng.normal(0, BASE_SD_M, 3)
+    offsets[RAY_ROOTS[0]] += rng.normal(0, spread * BASE_SD_M, 3)
     for root, tilt in zip(RAY_ROOTS[1:], tilts[1:], strict=True):  # a finger turns about its knuckle, which is displaced itself
-        offsets[root + 1] = tilt.T @ (offsets[root + 1] + rng.normal(0, BASE_SD_M, 3))
+        offsets[root + 1] = tilt.T @ (offsets[root + 1] + rng.normal(0, spread * BASE_SD_M, 3))
     coupling = (
         rng.uniform(*COUPLING_RANGE, 4)
         + COUPLING_CHANGE * np.sin(np.arange(frames) / HAND_RATE_HZ * 0.7 + rng.uniform(0, 6))[:, None]
     )
     angles[:, 5::3, 0] = coupling * angles[:, 4::3, 0]
+    flexions = angles[..., 0].copy()
+    if rig:
+        angles[..., 0] -= rig.flexions
     local = np.tile(rest, (frames, 1, 1, 1))
     axes = model.compute_angles(np.eye(3))  # of twist, abduction, flexion
     for index, joint in enumerate(HAND_JOINTS):
-        tilt = Rotation.from_rotvec(rng.normal(0, np.radians(AXIS_SD_DEG), (2, 3))).as_matrix()
+        tilt = Rotation.from_rotvec(rng.normal(0, spread * np.radians(AXIS_SD_DEG), (2, 3))).as_matrix()
+        tilt = rig.axis_tilts[index] @ tilt if rig else tilt
         turns = [Rotation.from_rotvec(np.outer(angles[:, index, a], tilt[a] @ axes[2 - a])).as_matrix() for a in (0, 1)]
         local[:, joint] = turns[0] @ turns[1]
     twist = 0.5 * angles[:, 0, 1] + 0.2 * angles[:, 0, 0]  # the thumb's saddle joint pronates as it opposes
@@ -176,7 +232,7 @@ def draw_hand(
     markers += rng.normal(0, NOISE_SD_M, markers.shape)
     is_lost, palm = draw_finger_gaps(rng, frames, scheme.labels), (wrist, local[:, 0])
     points = np.concatenate([position[:, HAND_JOINTS], tips], axis=1)
-    return TrueHand(palm, points, angles[..., 0], markers, scheme.labels, is_lost)
+    return TrueHand(palm, points, flexions, markers, scheme.labels, is_lost)
 
 
 def draw_finger_gaps(rng: np.random.Generator, frames: int, labels: tuple[str, ...]) -> Bool[np.ndarray, "T K"]:
@@ -189,8 +245,8 @@ def draw_finger_gaps(rng: np.random.Generator, frames: int, labels: tuple[str, .
     return missing
 
 
-def compose_hands(seed: int, marker_set: str = "frontwaist53") -> TrueHands:
-    """Return a take of a person with the markers of a set of the body and 20 finger markers.
+def compose_hands(seed: int, marker_set: str = "frontwaist53", rig: Mapping[Side, RigHand] | None = None) -> TrueHands:
+    """Return a take of a person with the markers of a set of the body and 20 finger markers, and the hands of a rig if given.
 
     Forearms pronate in the body's hand joints. The hands bend at the wrists, which lie beyond these, with their markers.
     """
@@ -217,7 +273,7 @@ def compose_hands(seed: int, marker_set: str = "frontwaist53") -> TrueHands:
         from_wrist = rotation[:, joint] @ (subject.skeleton.offsets[joint] - place)  # the hand is rigid and turns about the wrist
         arms = markers[:, on_hand] - (position[:, joint] - from_wrist)[:, None]
         markers[:, on_hand] = wrist[:, None] + np.einsum("tab,tkb->tka", turn, arms)
-        hands[side] = draw_hand(rng, side, wrist, bent, size_ratio)
+        hands[side] = draw_hand(rng, side, wrist, bent, size_ratio, rig[side] if rig else None)
     shown = [np.where(hand.is_lost[..., None], np.nan, hand.markers) for hand in hands.values()]
     all_markers = np.concatenate([markers, *shown], axis=1)
     labels = (*subject.labels, *(label for hand in hands.values() for label in hand.labels))
@@ -298,13 +354,15 @@ def summarise_fills(errors: Float[np.ndarray, "n 8"]) -> dict[str, Any]:
 
 
 def measure_hands(
-    seeds: Iterable[int] = HAND_SEEDS, report_progress: Callable[[str], None] = lambda _: None
+    seeds: Iterable[int] = HAND_SEEDS,
+    report_progress: Callable[[str], None] = lambda _: None,
+    rig: Mapping[Side, RigHand] | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Return a row for each number of finger markers of a hand pair."""
+    """Return a row for each number of finger markers of a hand pair, of people with drawn hands or with those of a rig."""
     found: dict[int, list[tuple[TrueHand, HandMotion]]] = {count: [] for count in MARKER_COUNTS}
     for seed in seeds:
         report_progress(f"seed {seed}")
-        truth = compose_hands(seed)
+        truth = compose_hands(seed, rig=rig)
         detected, body = fit_body(truth.take)
         for count, left in MARKER_COUNTS.items():
             kept = select_columns(truth, detected.take.labels, left)

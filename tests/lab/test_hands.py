@@ -1,11 +1,14 @@
 """The composed hands of the benchmark."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocapfix.characters.load_character import load_character
+from mocapfix.errors import SceneError
 from mocapfix.lab import hands
 
 
@@ -88,3 +91,26 @@ def test_adaptive_fingers_are_nearer_than_naive_ones():
     assert max(errors["0"].values()) < 1e-3
     for noise in ("5", "10"):
         assert errors[noise]["adaptive"] < 0.85 * errors[noise]["naive"]
+
+
+@pytest.mark.parametrize("side", hands.SIDES)
+def test_the_hand_of_a_rig_with_the_bones_of_the_model_is_the_model(side):
+    found, model = hands.read_rig_hands(Path("smplx"))[side], hands.load_hand(side)  # on a forearm that slopes by 1 degree
+    np.testing.assert_allclose(found.model.skeleton.compute_rest_ends(), model.skeleton.compute_rest_ends(), atol=0.005)
+    np.testing.assert_allclose(found.model.skeleton.rest_positions, model.skeleton.rest_positions, atol=0.005)
+    np.testing.assert_allclose(found.flexions, 0.0, atol=0.08)
+
+
+def test_people_with_the_hands_of_a_rig_have_its_proportions():
+    rig = hands.read_rig_hands(Path("mixamo"))
+    positions = load_character("mixamo").skeleton
+    for side, hand in hands.compose_hands(0, rig=rig).hands.items():
+        names = [f"mixamorig:{side}HandMiddle{number}" for number in (1, 2, 3, 4)]
+        own = np.linalg.norm(np.diff(positions.rest_positions[[positions.find_joint(name) for name in names]], axis=0), axis=1)
+        found = np.linalg.norm(np.diff(hand.points[:, [6, 7, 8, 17]], axis=1), axis=2)
+        np.testing.assert_allclose(found / found[:, :1], np.broadcast_to(own / own[0], found.shape), atol=1e-6)
+
+
+def test_a_rig_without_fingers_is_refused():
+    with pytest.raises(SceneError, match="thumb of the left hand needs three bones"):
+        hands.read_rig_hands(Path("smpl"))
