@@ -1,10 +1,10 @@
-"""Make the contact sheets in docs/characters.md and the hands in docs/hands.md.
+"""Make the contact sheets in docs/characters.md and docs/robots.md, and the hands in docs/hands.md.
 
-    python docs/generate_character_pictures.py CHARACTERS [CAPTURES]
+    python docs/generate_character_pictures.py CHARACTERS [CAPTURES [ROBOTS]]
 
 CHARACTERS is a folder with the files that SHEETS and HAND_CHARACTERS name, CAPTURES one with takes of the CMU Graphics Lab Motion
-Capture Database; without it only the hands are drawn, which are composed. Neither is in the repository; docs/characters.md says
-where the characters come from.
+Capture Database, ROBOTS one with the files that ROBOTS names. Without them only the hands are drawn, which are composed. None is
+in the repository; docs/characters.md says where the characters come from.
 """
 
 import sys
@@ -29,8 +29,8 @@ from mocapfix.io.gltf_mesh import compute_node_matrices, read_gltf_mesh
 from mocapfix.lab.hands import GESTURES, MARKER_COUNTS, TrueHand, compose_hands, fit_body, select_columns
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.skeleton import is_below
-from mocapfix.options import OutputOptions
-from mocapfix.report.contact_sheet import INK, OVERSAMPLING, PAPER, SheetFigure, draw_figure
+from mocapfix.options import FEET_LOCK, FEET_SOFT, OutputOptions
+from mocapfix.report.contact_sheet import INK, OVERSAMPLING, PAPER, ROWS, TITLE_HEIGHT_PX, SheetFigure, draw_figure
 
 PICTURES = Path(__file__).parent / "gallery"
 SHEETS = {
@@ -42,6 +42,14 @@ SHEETS = {
     "Xbot.glb": "85_02",
 }
 """character to the take that moves it"""
+ROBOTS = {
+    "unitree_g1/g1.xml": "05_13",
+    "unitree_h1/h1.xml": "02_01",
+    "booster_t1/t1.xml": "85_02",
+    "fourier_n1/n1.xml": "05_13",
+    "engineai_pm01/pm01.xml": "85_02",
+}
+"""robot to the take that moves it"""
 WIDTH_PX, COLOURS = 1200, 64
 
 HAND_SEED = 5  # of a person of the benchmark
@@ -56,17 +64,41 @@ BONE_RADII_M = np.linspace(0.0095, 0.0065, 4)  # from the knuckle to the tip
 SIDES, RINGS = 14, 7  # of a drawn bone
 
 
+def draw_sheet(character: Path, take: Path, feet: str) -> Image.Image:
+    """Return the contact sheet of a character that a take moves."""
+    result = mocapfix.clean(take, feet=feet)
+    with TemporaryDirectory() as folder:
+        outputs = result.write(folder, options=OutputOptions(characters=(character,), extra_formats=("sheet",)))
+        with Image.open(outputs[f"{character.stem}.sheet.png"]) as sheet:
+            return sheet.convert("RGB")
+
+
+def save_sheet(name: str, sheet: Image.Image) -> None:
+    """Save a picture in the width and with the colours of all."""
+    small = sheet.resize((WIDTH_PX, round(sheet.height * WIDTH_PX / sheet.width)), Image.Resampling.LANCZOS)
+    small.quantize(COLOURS).save(PICTURES / f"{name}.png", optimize=True)
+
+
 def draw_sheets(characters: Path, captures: Path) -> None:
     for name, take in SHEETS.items():
-        result = mocapfix.clean(captures / f"{take}.c3d")
-        with TemporaryDirectory() as folder:
-            path = characters / name
-            outputs = result.write(folder, options=OutputOptions(characters=(path,), extra_formats=("sheet",)))
-            with Image.open(outputs[f"{path.stem}.sheet.png"]) as sheet:
-                small = sheet.convert("RGB").resize(
-                    (WIDTH_PX, round(sheet.height * WIDTH_PX / sheet.width)), Image.Resampling.LANCZOS
-                )
-        small.quantize(COLOURS).save(PICTURES / f"character-{path.stem}.png", optimize=True)
+        path = characters / name
+        save_sheet(f"character-{path.stem}", draw_sheet(path, captures / f"{take}.c3d", FEET_SOFT))
+
+
+def draw_robots(robots: Path, captures: Path) -> None:
+    """Draw the title and the last row of the sheet of each robot below each other."""
+    rows: list[Image.Image] = []
+    for name, take in ROBOTS.items():
+        sheet = draw_sheet(robots / name, captures / f"{take}.c3d", FEET_LOCK)
+        height = (sheet.height - TITLE_HEIGHT_PX) // ROWS
+        row = Image.new("RGB", (sheet.width, TITLE_HEIGHT_PX + height))
+        row.paste(sheet)
+        row.paste(sheet.crop((0, sheet.height - height, *sheet.size)), (0, TITLE_HEIGHT_PX))
+        rows.append(row.resize((WIDTH_PX, round(row.height * WIDTH_PX / row.width)), Image.Resampling.LANCZOS))
+    picture = Image.new("RGB", (WIDTH_PX, sum(row.height for row in rows)))
+    for k, row in enumerate(rows):
+        picture.paste(row, (0, sum(each.height for each in rows[:k])))
+    save_sheet("robots", picture)
 
 
 def find_frame(truth: TrueHand, gesture: str) -> int:
@@ -197,10 +229,12 @@ def draw_hands(characters: Path) -> None:
     save_cells("hands-characters", rows, list(SHOWN_GESTURES.values()), labels)
 
 
-def main(characters: Path, captures: Path | None = None) -> None:
+def main(characters: Path, captures: Path | None = None, robots: Path | None = None) -> None:
     draw_hands(characters)
     if captures:
         draw_sheets(characters, captures)
+    if captures and robots:
+        draw_robots(robots, captures)
 
 
 if __name__ == "__main__":

@@ -50,7 +50,7 @@ from mocapfix.subject import library
 if TYPE_CHECKING:
     from mocapfix.characters.character_yaml import Rig
     from mocapfix.characters.fingers import HandPoses
-    from mocapfix.report.contact_sheet import ContactSheet, Performer
+    from mocapfix.report.contact_sheet import ContactSheet, Performer, ShownFigure
 
 RECORDING_SUFFIX, HTML_SUFFIX = "rrd", "report.html"
 SHEET_SUFFIX = "sheet.png"
@@ -230,24 +230,41 @@ def build_rig_format(name_or_path: str | Path) -> OutputFormat:
 
 
 def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
-    """Return the format of the files of a character. Raises ReadError or SceneError if there is no such character."""
-    from mocapfix.characters.character_files import CharacterFiles  # few cleanings need it
+    """Return the format of a character's or robot's files. Raises ReadError, SceneError or OptionError if it cannot be used."""
+    from mocapfix.characters.body_frames import build_body_frame  # few cleanings need it
+    from mocapfix.characters.character import build_cmu31_character
+    from mocapfix.characters.character_files import CharacterFiles, write_character_glb
     from mocapfix.characters.clips import find_trimmed_frames
     from mocapfix.characters.load_character import load_character
 
-    if Path(name_or_path).suffix.lower() in ROBOT_SUFFIXES:
-        return build_robot_format(Path(name_or_path), options)
-    files = CharacterFiles(load_character(name_or_path, options.character_map, options.rest_frame), options)
+    path, usage_note = Path(name_or_path), ""
+    if path.suffix.lower() in ROBOT_SUFFIXES:
+        from mocapfix.robots.robot_files import load_robot_files
+
+        for option in (OPTION_BY_NAME[name] for name in ("rest_frame", "root_motion", "loop")):
+            if getattr(options, option.name) != option.default:
+                raise OptionError(option.name, option.flag, option.job_key, f"is not for robots; {path.name} is one")
+        files, usage_note = load_robot_files(path, options), "is the motion of the robot: metres, radians, Z up."
+    else:
+        files = CharacterFiles(load_character(name_or_path, options.character_map, options.rest_frame), options)
 
     def write_file(target: Path, content: OutputContent) -> list[str]:
-        from mocapfix.report.contact_sheet import ContactSheet, draw_contact_sheet
+        from mocapfix.report.contact_sheet import ContactSheet, ShownFigure, draw_contact_sheet
 
         frames = find_trimmed_frames(options.trim, content.input_take, content.motion.rate)
-        hands, notes = content.measure_hands()
-        notes += files.write(target, *content.motion.parts, content.exported_contacts, frames, hands)
-        turns = options.root_motion != ROOT_IN_PLACE
-        sheet = draw_contact_sheet(content.build_performer(frames), files.character, target, turns=turns)
-        content.sheets.append(ContactSheet(target.name, sheet))
+        motion = *content.motion.parts, content.exported_contacts, frames
+        if isinstance(files, CharacterFiles):
+            hands, notes = content.measure_hands()
+            glb, body, notes = target, build_body_frame(files.character), notes + files.write(target, *motion, hands)
+        else:
+            glb, body, (notes, moved) = target.with_suffix(".glb"), files.body, files.write(target, *motion)
+            write_character_glb(glb, files.character, moved, target.stem)
+        performer = content.build_performer(frames)
+        sheet = draw_contact_sheet(performer, files.character, glb, turns=options.root_motion != ROOT_IN_PLACE)
+        scale = build_body_frame(build_cmu31_character(performer.skeleton)).leg_length_m / body.leg_length_m
+        end_s = performer.start_s + (performer.motion.frame_count - 1) / performer.rate
+        figure = ShownFigure(files.character, glb, scale, performer.start_s, end_s, performer.floor_height_m)
+        content.sheets.append(ContactSheet(target.name, sheet, figure))
         if is_sheet_written:
             target.with_suffix(f".{SHEET_SUFFIX}").write_bytes(sheet)
         return notes
@@ -255,26 +272,7 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
     is_sheet_written = "sheet" in options.extra_formats
     sheet_suffixes = [f"{files.character.name}.{SHEET_SUFFIX}"] if is_sheet_written else []
     first, *others = files.suffixes
-    return OutputFormat(first, write_file, (*others, *sheet_suffixes), needs_body=True)
-
-
-def build_robot_format(path: Path, options: OutputOptions) -> OutputFormat:
-    """Return the format of the files of a robot. Raises ReadError or SceneError if it cannot be used."""
-    from mocapfix.characters.clips import find_trimmed_frames  # few cleanings need it
-    from mocapfix.robots.robot_files import load_robot_files
-
-    for option in (OPTION_BY_NAME[name] for name in ("rest_frame", "root_motion", "loop")):
-        if getattr(options, option.name) != option.default:
-            raise OptionError(option.name, option.flag, option.job_key, f"is not for robots; {path.name} is one")
-    files = load_robot_files(path, options)
-
-    def write_file(target: Path, content: OutputContent) -> list[str]:
-        frames = find_trimmed_frames(options.trim, content.input_take, content.motion.rate)
-        return files.write(target, *content.motion.parts, content.exported_contacts, frames)
-
-    first, *others = files.suffixes
-    usage_note = "is the motion of the robot: metres, radians, Z up."
-    return OutputFormat(first, write_file, tuple(others), needs_body=True, usage_note=usage_note)
+    return OutputFormat(first, write_file, (*others, *sheet_suffixes), needs_body=True, usage_note=usage_note)
 
 
 def _write_sheet(target: Path, content: OutputContent) -> None:
@@ -313,15 +311,11 @@ def _write_amass(target: Path, content: OutputContent) -> list[str]:
     return notes
 
 
-def _write_bvh(target: Path, content: OutputContent) -> None:
-    write_bvh_tree(target, *content.body_with_hands, content.motion.rate)
-
-
-def record_cleaning(folder: Path, comparison: CleaningComparison) -> None:
-    """Write the recording of a cleaning into a folder."""
+def record_cleaning(folder: Path, comparison: CleaningComparison, figures: "Sequence[ShownFigure]") -> None:
+    """Write the recording of a cleaning, with the characters that it moves, into a folder."""
     from mocapfix.report.recording import write_recording  # slow to import
 
-    write_recording(folder / f"{comparison.input_take.output_stem}.{RECORDING_SUFFIX}", comparison)
+    write_recording(folder / f"{comparison.input_take.output_stem}.{RECORDING_SUFFIX}", comparison, figures)
 
 
 def _write_html_report(target: Path, content: OutputContent) -> None:
@@ -345,7 +339,9 @@ def _write_events(target: Path, content: OutputContent) -> None:
         write_gait_events(target, content.contacts, content.input_take.first_frame)
 
 
-BVH_FORMAT = OutputFormat("bvh", _write_bvh, needs_body=True)
+BVH_FORMAT = OutputFormat(
+    "bvh", lambda target, content: write_bvh_tree(target, *content.body_with_hands, content.motion.rate), needs_body=True
+)
 DEFAULT_FORMATS = (
     OutputFormat(
         "subject.yaml",

@@ -264,7 +264,8 @@ class CleaningResult:
         for each in (each for each in formats if each not in default):  # first, for the HTML report has their notes
             _write_format(each, folder, content, timer)
         if not self.requested.initialise.is_fast:
-            content = replace(content, recorded=compute_beside(record_cleaning, folder, content.comparison))
+            figures = [each.figure for each in content.sheets]
+            content = replace(content, recorded=compute_beside(record_cleaning, folder, content.comparison, figures))
         try:
             for each in (each for each in formats if each in default):
                 _write_format(each, folder, content, timer)

@@ -44,7 +44,7 @@ def without_report_files(monkeypatch):
     """Replace the recording and the HTML report, which take most of the time and are not tested here."""
     monkeypatch.setattr(
         "mocapfix.report.recording.write_recording",
-        lambda target, comparison: target.write_text(f"rrd by {threading.current_thread().name}", encoding="utf-8"),
+        lambda target, *_: target.write_text(f"rrd by {threading.current_thread().name}", encoding="utf-8"),
     )
     monkeypatch.setattr(
         "mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page", encoding="utf-8")
@@ -181,7 +181,7 @@ def test_the_recording_is_written_by_the_second_process(solved, recorder, tmp_pa
 
 
 def test_no_file_is_written_if_the_second_process_cannot_write_the_recording(recorder, solved, tmp_path, monkeypatch):
-    def fail(target: Path, _comparison: object) -> None:
+    def fail(target: Path, *_: object) -> None:
         raise OSError(f"{target.name}: the disk is full")
 
     monkeypatch.setattr("mocapfix.report.recording.write_recording", fail)

@@ -404,11 +404,16 @@ PYRAMID_FACES = np.array([[0, k, k % 4 + 1] for k in (1, 2, 3, 4)] + [[5, k % 4 
 MIN_SKIN_BONE_M = 1e-6  # a shorter bone has no pyramid
 
 
-def build_skinned_document(skeleton: Skeleton, shown_parents: Int[np.ndarray, " J"]) -> GltfBuffer:
+def build_skinned_document(
+    skeleton: Skeleton,
+    shown_parents: Int[np.ndarray, " J"],
+    shapes: Sequence[tuple[int, Float[np.ndarray, "C 3"]]] = (),
+) -> GltfBuffer:
     """Return a document with the joints as its first nodes, in metres, and a mesh that shows them, with a skin.
 
     Args:
         shown_parents: From which joint a bone is shown to each, -1 for none.
+        shapes: Joint, and corners of triangles that it carries, three each, in the joint's axes.
     """
     quaternions = scipy.spatial.transform.Rotation.from_matrix(skeleton.rest_rotations).as_quat()
     is_turned = (skeleton.rest_rotations != np.eye(3)).any((1, 2))
@@ -433,20 +438,27 @@ def build_skinned_document(skeleton: Skeleton, shown_parents: Int[np.ndarray, " 
     matrices = buffer.add_array(inverse.swapaxes(-1, -2), "MAT4")  # stored by columns
     buffer.document["skins"] = [{"inverseBindMatrices": matrices, "joints": list(range(len(positions)))}]
     tails = np.where(skeleton.is_leaf[:, None], skeleton.compute_rest_ends(), np.nan)
-    primitive = {"attributes": _add_pyramids(buffer, shown_parents, positions, tails)}
+    carried = [(joint, positions[joint] + corners @ rotations[joint].T) for joint, corners in shapes]
+    triangles = [*_build_pyramids(shown_parents, positions, tails), *carried]
+    primitive = {"attributes": _add_triangles(buffer, triangles), "material": 0}
+    buffer.document["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0.0}}]  # viewers show bare metal almost black
     buffer.document["meshes"] = [{"name": "Bones", "primitives": [primitive]}]
     return buffer
 
 
-def _add_pyramids(
-    buffer: GltfBuffer, parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "J 3"], tails: Float[np.ndarray, "J 3"]
-) -> dict[str, Any]:
-    """Add every bone that has a length as a double pyramid that moves with its head, and return the attributes."""
+def _build_pyramids(
+    parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "J 3"], tails: Float[np.ndarray, "J 3"]
+) -> list[tuple[int, Float[np.ndarray, "C 3"]]]:
+    """Return the joint at the head of every bone that has a length, and the corners of its double pyramid in the rest pose."""
     bones = [(int(parent), positions[j]) for j, parent in enumerate(parents) if parent >= 0]
     bones += [(j, tail) for j, tail in enumerate(tails) if np.isfinite(tail).all()]
-    bones = [(j, end) for j, end in bones if np.linalg.norm(end - positions[j]) > MIN_SKIN_BONE_M]
-    corners = np.concatenate([_build_pyramid(positions[j], end) for j, end in bones])
-    corner_joints = np.repeat([[j, 0, 0, 0] for j, _ in bones], PYRAMID_FACES.size, axis=0)
+    return [(j, _build_pyramid(positions[j], end)) for j, end in bones if np.linalg.norm(end - positions[j]) > MIN_SKIN_BONE_M]
+
+
+def _add_triangles(buffer: GltfBuffer, shapes: Sequence[tuple[int, Float[np.ndarray, "C 3"]]]) -> dict[str, Any]:
+    """Add triangles in the rest pose that move with a joint each, and return the attributes."""
+    corners = np.concatenate([each for _, each in shapes])
+    corner_joints = np.concatenate([np.tile([joint, 0, 0, 0], (len(each), 1)) for joint, each in shapes])
     faces = corners.reshape(-1, 3, 3)
     normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     normals = np.repeat(normals / np.linalg.norm(normals, axis=-1, keepdims=True), 3, axis=0)

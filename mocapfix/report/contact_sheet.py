@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from PIL import Image, ImageDraw, ImageFont
 
 from mocapfix.characters.character import Character, build_bone_matrices
-from mocapfix.io.gltf import parse_glb, read_gltf_nodes
+from mocapfix.io.gltf import GlbContent, GltfNodes, parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import compute_node_matrices, move_nodes, read_gltf_mesh
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, list_path
@@ -25,6 +25,7 @@ from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.stats.sequences import select_farthest_rows
 
 COLUMNS, ROWS = 4, 2
+MAX_FRAME_S = 0.05  # before the first frame and after the last one, a figure stays as there
 TAKE_LENGTH_M = 0.5  # the whole take counts as so much difference between two poses, so that the frames are spread over it
 CELL_WIDTH_PX, CELL_HEIGHT_PX, MARGIN_PX = 420, 320, 14  # the most that the figures of a cell may fill, and the space around them
 TITLE_HEIGHT_PX, LABEL_HEIGHT_PX, TITLE_PX, LABEL_PX = 58, 22, 20, 14
@@ -51,11 +52,32 @@ class Performer:
     take: Take
 
 
+class ShownFigure(NamedTuple):
+    """A character that a take moves, as its written file has it."""
+
+    character: Character
+    glb: Path
+    scale: float  # metres of the performer in one of the character
+    start_s: float  # start_s, end_s: times of its first and last frame in the take
+    end_s: float
+    floor_height_m: float  # height of the floor in the take; in the file it is 0
+
+    def locate_bones(self, times_s: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T L 2 3"]:
+        """Return the ends of its bones at times of the take, as large as the performer, in metres; NaN where it has no frame."""
+        content, nodes, bones = _read_figure(self.character, self.glb)
+        sticks = _list_sticks(nodes, bones, bones[self.character.mapping.bones["pelvis"][0]])
+        times, animation = (times_s - self.start_s).tolist(), content.document["animations"][0]
+        places = compute_node_matrices(content, nodes, animation, times)[..., :3, 3][:, sticks]
+        places[(times_s < self.start_s - MAX_FRAME_S) | (times_s > self.end_s + MAX_FRAME_S)] = np.nan
+        return self.scale * places + self.floor_height_m * UP
+
+
 class ContactSheet(NamedTuple):
     """A contact sheet as the report shows it."""
 
     name: str  # of the file that it shows
     png: bytes
+    figure: ShownFigure
 
 
 class SheetFigure(NamedTuple):
@@ -122,10 +144,8 @@ def _show_character(
     character: Character, glb: Path, views: Float[np.ndarray, "F 3 3"], times_s: Sequence[float]
 ) -> tuple[list[SheetFigure], Float[np.ndarray, "N 3"]]:
     """Return the character in the rest pose and at some times, and the colours of triangles; in the views given for the last."""
-    content = parse_glb(glb, glb.read_bytes())
-    nodes, animation = read_gltf_nodes(glb, content.document), content.document["animations"][0]
-    numbers = {name: node for node, name in enumerate(nodes.names)}
-    bones = [numbers.get(name, bone) for bone, name in enumerate(character.skeleton.names)]
+    content, nodes, bones = _read_figure(character, glb)
+    animation = content.document["animations"][0]
     rest_bones = dict(zip(bones, build_bone_matrices(character), strict=True))
     rest = move_nodes(nodes, compute_node_matrices(content, nodes)[0], rest_bones)
     if character.source is not None and character.source.kind == "bvh":  # in its rest pose the hips may be at height 0
@@ -134,11 +154,7 @@ def _show_character(
     pelvis, left, right = (bones[character.mapping.bones[name][0]] for name in ("pelvis", "left_thigh", "right_thigh"))
     mesh, has_own_mesh = read_gltf_mesh(content, nodes), character.source is not None and character.source.kind == "gltf"
     triangles = mesh.triangles if has_own_mesh else mesh.triangles[:0]
-    below = set[int]() if len(triangles) else {pelvis}
-    for bone in bones:
-        if nodes.parents[bone] in below:
-            below.add(bone)
-    sticks = np.array([(nodes.parents[bone], bone) for bone in below - {pelvis}], int).reshape(-1, 2)
+    sticks = _list_sticks(nodes, bones, pelvis)[: 0 if len(triangles) else None]
     own_count = len(matrices) - len(views)
     views = np.concatenate([build_views((matrices[:, left] - matrices[:, right])[:own_count, :3, 3]), views])
     figures = [
@@ -146,6 +162,23 @@ def _show_character(
         for each, axes in zip(matrices, views, strict=True)
     ]
     return figures, mesh.colours
+
+
+def _read_figure(character: Character, glb: Path) -> tuple[GlbContent, GltfNodes, list[int]]:
+    """Return the content of a character's file, its nodes, and the node of each bone."""
+    content = parse_glb(glb, glb.read_bytes())
+    nodes = read_gltf_nodes(glb, content.document)
+    numbers = {name: node for node, name in enumerate(nodes.names)}
+    return content, nodes, [numbers.get(name, bone) for bone, name in enumerate(character.skeleton.names)]
+
+
+def _list_sticks(nodes: GltfNodes, bones: Sequence[int], pelvis: int) -> Int[np.ndarray, "L 2"]:
+    """Return the nodes at both ends of each bone below the pelvis."""
+    below = {pelvis}
+    for bone in bones:
+        if nodes.parents[bone] in below:
+            below.add(bone)
+    return np.array([(nodes.parents[bone], bone) for bone in sorted(below - {pelvis})], int).reshape(-1, 2)
 
 
 def choose_frames(poses: Float[np.ndarray, "T J 3"]) -> Int[np.ndarray, " F"]:

@@ -88,7 +88,7 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         moving=moving,
         hands=[Figure(*each) for each in build_hand_figures(comparison, comparison.worst_moment[0])],
         change_figures=[build_change_figure(comparison, *each) for each in select_worst_changes(comparison)],
-        sheets=[(name, base64.b64encode(png).decode()) for name, png in sheets],
+        sheets=[(name, base64.b64encode(png).decode()) for name, png, _ in sheets],
         frame_count=take.frame_count,
         fault_rows=build_fault_rows(comparison),
         fault_legend=[each for each in FAULT_GROUPS if each[0] in groups or " " in each[0]],

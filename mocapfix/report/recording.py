@@ -7,6 +7,7 @@ Entities:
       unlabelled          unlabelled trajectories: grey, violet where joined to a marker
       after               cleaned markers: grey if measured, green if estimated, violet if relabelled
       skeleton            one line from each joint to its parent
+      figures/NAME        the bones of each character or robot, as large as the body, beside it
     state/SUBJECT/LABEL   outcome of each sample, for the markers with the most changes
     missing/before|after  number of missing markers
     error/SUBJECT/LABEL   distance of the marker from the body in millimetres, for the markers with the largest distances
@@ -40,6 +41,7 @@ from mocapfix.io.files import replace_atomically
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
 from mocapfix.model.windows import iterate_blocks, select_block
+from mocapfix.report.contact_sheet import ShownFigure
 from mocapfix.report.sample_states import (
     AMBER,
     GREEN,
@@ -115,16 +117,6 @@ def _log_events(writer: "_RecordingWriter", contacts: BodyContacts) -> None:
         rr.send_columns("events", times, columns, recording=writer.recording)
 
 
-def build_contact_views(contacts: BodyContacts) -> list[rrb.View]:
-    """Return the views of the contacts' lanes and of the events, as far as there are any."""
-    views: list[rrb.View] = []
-    if contacts.is_contact.any():
-        views.append(rrb.StateTimelineView(origin="contacts", name="Contacts with the floor"))
-    if contacts.events:
-        views.append(rrb.TextLogView(origin="events", name="Events of gait"))
-    return views
-
-
 MOMENT_TIMELINE = "worst moment"  # the time line on which a recording opens; the others have all frames
 MAX_STATE_LANES = 20  # markers in the time line of sample states
 
@@ -135,6 +127,7 @@ CLEANED_COLOUR = "#c9d0d8"
 ESTIMATED_COLOUR = "#2fd07a"
 RELABELLED_COLOUR = "#a98bff"
 RECORDING_BONE_COLOUR = "#4f8fd6"
+FIGURE_COLOUR = "#e6b450"
 STATE_COLOURS = ("#333a43", GREEN, AMBER, VIOLET, "#4b4073", RED, RED)  # by SampleOutcome
 RESIDUAL_CURVE_COLOURS = ("#ffb454", "#59c2ff", "#d2a6ff", "#aad94c", "#f07178", "#95e6cb")  # one curve each
 
@@ -145,6 +138,7 @@ INPUT_POINT_RADIUS_M = 0.011
 UNLABELLED_POINT_RADIUS_M = 0.008
 CLEANED_POINT_RADIUS_M = 0.013
 BONE_RADIUS_M = 0.007
+BESIDE_M = np.array([0.8, 0.0, 0.8])  # from the body to the first figure that it moves, and from each to the next
 
 FIELD_OF_VIEW_RAD = np.radians(55)  # rerun's vertical field of view
 MAX_CAMERA_FRAMES = 1000  # frames used to place the camera
@@ -152,20 +146,20 @@ CAMERA_MARGIN_FACTOR = 1.12  # space around the body at the edges of the picture
 RESIDUAL_CLIP_FACTOR = 3.0  # upper limit of the residual plot, relative to the 95th percentile
 
 
-def write_recording(target: Path, comparison: CleaningComparison) -> None:
-    """Write a rerun recording (.rrd) of a take before and after cleaning, with its blueprint."""
+def write_recording(target: Path, comparison: CleaningComparison, figures: Sequence[ShownFigure] = ()) -> None:
+    """Write a rerun recording (.rrd) of a take before and after cleaning, with the figures that it moves and its blueprint."""
     with replace_atomically(target) as part:
         recording = rr.RecordingStream("mocapfix")
         try:
-            recording.save(part, default_blueprint=build_blueprint(comparison))
+            recording.save(part, default_blueprint=build_blueprint(comparison, figures))
             recording.send_recording_name(comparison.input_take.name)
-            log_comparison(recording, comparison)
+            log_comparison(recording, comparison, figures)
         finally:
             recording.disconnect()
         check_recording_complete(part)
 
 
-def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison) -> None:
+def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison, figures: Sequence[ShownFigure]) -> None:
     """Log a take before and after cleaning, a long one block by block, and its worst moment again on a time line of its own."""
     writer, length = _RecordingWriter(recording, comparison.input_take), comparison.input_take.frame_count
     states, residual_m, contacts = comparison.sample_states, comparison.residual_m, comparison.contacts
@@ -177,6 +171,9 @@ def log_comparison(recording: rr.RecordingStream, comparison: CleaningComparison
         writer.log_markers(block, states[frames])
         if block.skeleton is not None and block.joint_position_world is not None:
             writer.log_skeleton(block.skeleton, block.joint_position_world)
+        for n, figure in enumerate(figures, start=1):
+            path = f"world/figures/{name_entities([figure.character.name])[0]}"
+            writer.log_bones(path, FIGURE_COLOUR, figure.locate_bones(writer.time_s[frames]) + n * BESIDE_M)
         writer.log_sample_states(states[frames], lanes)
         writer.log_missing_counts(block.input_take, block.cleaned_take)
         if block.residual_m is not None:
@@ -264,12 +261,16 @@ class _RecordingWriter:
         """Log one line from each joint to its parent, in the frames where both are known."""
         child = np.flatnonzero(skeleton.parents >= 0)
         parent = skeleton.parents[child]
-        position, is_known = joint_position_world.astype(np.float32), ~np.isnan(joint_position_world[..., 0])
-        known = is_known[:, parent] & is_known[:, child]
-        bones = np.stack([position[:, parent], position[:, child]], axis=2)[known]
-        style = rr.LineStrips3D.from_fields(radii=BONE_RADIUS_M, colors=_convert_to_rgba(RECORDING_BONE_COLOUR))
-        self.recording.log("world/skeleton", style, static=True)
-        self.send_columns("world/skeleton", rr.LineStrips3D.columns(strips=_build_strips(bones)).partition(known.sum(axis=1)))
+        bones = np.stack([joint_position_world[:, parent], joint_position_world[:, child]], axis=2)
+        self.log_bones("world/skeleton", RECORDING_BONE_COLOUR, bones)
+
+    def log_bones(self, path: str, colour: str, bones: Float[np.ndarray, "T L 2 3"]) -> None:
+        """Log lines, in the frames where both ends are known."""
+        known = ~np.isnan(bones[..., 0]).any(axis=2)
+        style = rr.LineStrips3D.from_fields(radii=BONE_RADIUS_M, colors=_convert_to_rgba(colour))
+        self.recording.log(path, style, static=True)
+        strips = _build_strips(bones[known].astype(np.float32))
+        self.send_columns(path, rr.LineStrips3D.columns(strips=strips).partition(known.sum(axis=1)))
 
     def prepare_state_lanes(self, outcome: Int[np.ndarray, "T M"]) -> dict[str, int]:
         """Return the paths of the lanes of the markers with the most samples that are not simply measured."""
@@ -322,13 +323,17 @@ def name_entities(labels: Sequence[str]) -> list[str]:
     return list(paths)
 
 
-def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
+def build_blueprint(comparison: CleaningComparison, figures: Sequence[ShownFigure]) -> rrb.Blueprint:
     """Return the blueprint of the recording: a 3-D view of the worst moment, which plays in a loop, beside plots."""
     moment = find_moment_frames(comparison)
     shown = slice(moment.start, moment.stop, 1 + (moment.stop - moment.start) // MAX_CAMERA_FRAMES)
     position_world = comparison.cleaned_take.markers[shown]
     if comparison.joint_position_world is not None:
         position_world = np.concatenate([position_world, comparison.joint_position_world[shown]], axis=1)
+    times_s = np.arange(comparison.input_take.frame_count)[shown] / comparison.input_take.rate
+    for n, figure in enumerate(figures, start=1):
+        bones = figure.locate_bones(times_s) + n * BESIDE_M
+        position_world = np.concatenate([position_world, bones.reshape(len(bones), -1, 3)], axis=1)
     eye, target = _compute_eye_position(position_world)
     controls = rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 1, 0))
     body = rrb.Spatial3DView(origin="world", name=f"{comparison.input_take.name}: before and after", eye_controls=controls)
@@ -344,8 +349,10 @@ def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
         name = "Largest distances from the body, mm"
         plots.append(rrb.TimeSeriesView(origin="error", name=name, axis_y=axis, plot_legend=legend))
     shares, views = [3, 1, 2][: len(plots)], list[rrb.View | rrb.Container](plots)
-    if comparison.contacts is not None and (contact_views := build_contact_views(comparison.contacts)):
-        shares, views = [*shares, 2], [*views, rrb.Tabs(*contact_views)]
+    if (contacts := comparison.contacts) and (contacts.is_contact.any() or contacts.events):
+        lanes = [rrb.StateTimelineView(origin="contacts", name="Contacts with the floor")] * bool(contacts.is_contact.any())
+        events = [rrb.TextLogView(origin="events", name="Events of gait")] * bool(contacts.events)
+        shares, views = [*shares, 2], [*views, rrb.Tabs(*lanes, *events)]
     beside = rrb.Vertical(*views, row_shares=shares)
     time = rrb.TimePanel(timeline=MOMENT_TIMELINE, state="collapsed", play_state="playing", loop_mode="all")
     return rrb.Blueprint(rrb.Horizontal(body, beside, column_shares=[3, 2]), time, collapse_panels=True)

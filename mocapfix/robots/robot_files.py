@@ -1,37 +1,57 @@
-"""What is written of a robot: NPZ with names, and on request the CSV of Unitree and the pickle of GMR.
+"""What is written of a robot: NPZ with names, a GLB to look at, and on request the CSV of Unitree and the pickle of GMR.
 
-All have metres, radians and Z up, with the floor at height 0. The order of quaternions differs: w x y z in NPZ, as MuJoCo's qpos
-has them, and x y z w in CSV and pickle.
+Files of data have metres, radians and Z up, with the floor at height 0. The order of quaternions differs: w x y z in NPZ, as
+MuJoCo's qpos has them, and x y z w in CSV and pickle. In the GLB the robot is a character of its links and collision shapes.
 """
 
 import json
 import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.repair_methods import make_quaternions_continuous
 from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
-from mocapfix.characters.character import build_cmu31_character, convert_motion
+from mocapfix.characters.character import (
+    BoneMapping,
+    Character,
+    CharacterMotion,
+    CharacterSource,
+    build_cmu31_character,
+    convert_motion,
+)
 from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
 from mocapfix.io.files import replace_atomically
+from mocapfix.io.gltf import GlbContent, build_glb, build_skinned_document
 from mocapfix.model.motion import Motion
-from mocapfix.model.skeleton import Skeleton
+from mocapfix.model.skeleton import Skeleton, decompose_transforms, make_names_unique
 from mocapfix.options import OutputOptions
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
 from mocapfix.robots.robot_map import find_robot_map, read_robot_map, write_robot_map
-from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets
-from mocapfix.solve.trajectory import compute_hinged_costs
+from mocapfix.robots.robot_targets import (
+    ROBOT_AXES,
+    RobotBody,
+    RobotTargets,
+    build_robot_body,
+    compute_robot_targets,
+    list_leaders,
+    pose_links,
+)
+from mocapfix.solve.trajectory import compute_hinged_costs, place_points
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 
 AT_LIMIT_RAD = 0.005  # distance from a limit within which a joint counts as at it
+ON_FLOOR_M = 0.015  # height up to which the lowest corner of the soles is on the floor
 OVERLAP_M = 0.005  # depth from which parts that overlap count as colliding
 EXTRA_SUFFIXES = {"robot-csv": ("csv", "columns.json"), "robot-pkl": ("pkl",)}
 
@@ -43,23 +63,24 @@ class RobotFiles:
     body: RobotBody
     options: OutputOptions
 
-    @property
-    def name(self) -> str:
-        return self.body.robot.name
+    @cached_property
+    def character(self) -> Character:
+        """The robot as a character."""
+        return build_robot_character(self.body)
 
     @property
     def suffixes(self) -> tuple[str, ...]:
         """The suffixes of the files, after the stem of the take."""
         extra = [suffix for name in dict.fromkeys(self.options.extra_formats) for suffix in EXTRA_SUFFIXES.get(name, ())]
-        return tuple(f"{self.name}.{ending}" for ending in ("npz", "map.yaml", *extra))
+        return tuple(f"{self.body.robot.name}.{ending}" for ending in ("npz", "glb", "map.yaml", *extra))
 
     def write(
         self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None, frames: slice
-    ) -> list[str]:
-        """Write some frames of the motion of a solved skeleton, of `rate` frames per second, as the robot's.
+    ) -> tuple[list[str], CharacterMotion]:
+        """Write some frames of the motion of a solved skeleton, of `rate` frames per second, as the robot's, all but the GLB.
 
-        Returns sentences for the report on these frames. The contacts may have another rate. Raises WriteError if a file is not
-        writable, or if no frame is left.
+        Returns sentences for the report on these frames, and the motion of `character`. The contacts may have another rate.
+        Raises WriteError if a file is not writable, or if no frame is left.
         """
         source = build_body_frame(build_cmu31_character(skeleton))
         segments = compute_segment_motion(source, convert_motion(motion, rate))
@@ -82,7 +103,7 @@ class RobotFiles:
             write_robot_pickle(target.with_suffix(".pkl"), moved)
         scale = self.body.leg_length_m / source.leg_length_m
         origin = " ".join([self.body.map.reason, *self.body.robot.notes, f"Places are scaled by {scale:.3f}, as the legs are."])
-        return [f"{target.name}: {each}" for each in (origin, figures.describe())]
+        return [f"{target.name}: {each}" for each in (origin, figures.describe())], convert_robot_motion(moved)
 
 
 def load_robot_files(path: Path, options: OutputOptions) -> RobotFiles:
@@ -101,6 +122,7 @@ class RobotFigures(NamedTuple):
     fastest_joint: str
     overlap_share: float  # of the frames in which parts overlap by more than OVERLAP_M
     overlap_m: float  # the deepest
+    on_floor_share: float  # of the frames in which a sole is on the floor
 
     def describe(self) -> str:
         """Return sentences."""
@@ -108,6 +130,7 @@ class RobotFigures(NamedTuple):
         overlap = f"parts overlap in {self.overlap_share:.1%} of the frames, by {self.overlap_m * 1e3:.0f} mm at most"
         return (
             f"Limbs point as the performer's within {mean:.1f} degrees in the mean, 95 % within {high:.1f}; "
+            f"a sole is on the floor in {self.on_floor_share:.0%} of the frames; "
             f"{overlap if self.overlap_share else 'no parts overlap'}. A joint is at a limit in {self.at_limit_share:.0%} of the "
             f"frames; the fastest, {self.fastest_joint}, reaches {self.speed_ratio:.0%} of its limit of speed."
         )
@@ -122,6 +145,7 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
     fastest = int(np.argmax(ratio))
     costs = compute_hinged_costs(body.tree, targets.isolate_collisions(), motion.references, motion.unknowns)
     depths = np.sqrt(2.0 * costs)  # the root of the sum of their squares
+    corners, _ = place_points(body.tree, motion.references, motion.unknowns, body.corner_links, body.corner_offsets)
     return RobotFigures(
         (float(angles.mean()), float(np.percentile(angles, 95))),
         float((gaps < AT_LIMIT_RAD).any(axis=1).mean()),
@@ -129,6 +153,7 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
         body.robot.joint_names[fastest],
         float((depths > OVERLAP_M).mean()),
         float(depths.max()),
+        float((corners[..., 2].min(axis=1) < ON_FLOOR_M).mean()),
     )
 
 
@@ -203,3 +228,53 @@ def write_robot_pickle(target: Path, motion: RobotMotion) -> None:
     }
     with replace_atomically(target) as part:
         part.write_bytes(pickle.dumps(content))
+
+
+def build_robot_character(body: RobotBody) -> Character:
+    """Return a robot as a character in its upright stance, with Y up, and a mesh of its links, collision shapes and soles."""
+    robot, links = body.robot, np.arange(len(body.robot.parents))
+    standing = body.map.standing[list_leaders(robot)]
+    soles, _ = pose_links(body.tree, standing, body.corner_links, body.corner_offsets)
+    positions, rotations = pose_links(body.tree, standing, links, np.zeros((len(links), 3)))
+    positions = (positions - [0.0, 0.0, soles[:, 2].min()]) @ ROBOT_AXES
+    offsets, local_rotations = decompose_transforms(positions, ROBOT_AXES.T @ rotations, robot.parents)
+    names, no_ends = make_names_unique(robot.link_names), np.full((len(links), 3), np.nan)
+    skeleton = Skeleton(names, robot.parents, offsets, no_ends, local_rotations)
+    buffer = build_skinned_document(skeleton, robot.parents, _list_shapes(body))
+    data = build_glb(GlbContent(buffer.document, buffer.finish()))
+    segments = {"pelvis": (0,)} | {name: (start.link,) for name, (start, _) in body.map.limbs.items()}
+    source = CharacterSource(robot.name, data, links, "gltf")
+    return Character(robot.name, skeleton, BoneMapping(segments, reason=body.map.reason), np.ones(len(links)), source=source)
+
+
+def _list_shapes(body: RobotBody) -> Sequence[tuple[int, Float[np.ndarray, "C 3"]]]:
+    """Return the link of each collision shape and sole, and the corners of its triangles in the link's axes."""
+    shapes, heights = body.robot.collision, np.linspace(-1.0, 1.0, 32)[:, None]  # a spiral on the unit sphere
+    turns = np.arange(len(heights)) * np.pi * (3.0 - 5.0**0.5)
+    sphere = np.hstack([np.sqrt(1.0 - heights**2) * np.stack([np.cos(turns), np.sin(turns)], axis=1), heights])
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    capsules = zip(shapes.ends, shapes.radii, strict=True)
+    points = [np.unique((ends[:, None] + radius * sphere).reshape(-1, 3), axis=0) for ends, radius in capsules]
+    boxes = zip(shapes.box_centres, shapes.box_rotations, shapes.box_halves, strict=True)
+    points += [centre + signs * halves @ rotation.T for centre, rotation, halves in boxes]
+    points += [np.vstack([sole.corners, np.zeros(3)]) for sole in body.soles.values()]
+    links = [*shapes.links, *shapes.box_links, *(sole.link for sole in body.soles.values())]
+    return [(int(link), _triangulate_hull(each)) for link, each in zip(links, points, strict=True)]
+
+
+def _triangulate_hull(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "C 3"]:
+    """Return the corners of the triangles of a convex hull, three each, in the order in which they face outwards."""
+    hull = ConvexHull(points, qhull_options="QJ")  # flat ones too
+    triangles = points[hull.simplices]
+    outward = (np.cross(*np.diff(triangles, axis=1).swapaxes(0, 1)) * hull.equations[:, :3]).sum(axis=1)
+    triangles[outward < 0.0] = triangles[outward < 0.0, ::-1]
+    return triangles[outward != 0.0].reshape(-1, 3)
+
+
+def convert_robot_motion(motion: RobotMotion) -> CharacterMotion:
+    """Return the motion of a robot as that of its character."""
+    positions, rotations = decompose_transforms(motion.link_positions, motion.link_rotations, motion.robot.parents)
+    rotations[:, 0] = ROBOT_AXES.T @ rotations[:, 0]
+    joints = motion.robot.is_slide | motion.robot.joint_anchors.any(axis=1)  # those that move the origin of their link
+    moved = {int(link): positions[:, link] for link in motion.robot.joint_links[joints]}
+    return CharacterMotion(positions[:, 0] @ ROBOT_AXES, rotations, motion.rate, moved)

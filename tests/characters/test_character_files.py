@@ -28,7 +28,7 @@ from tests.io.read_back import motion_of
 @pytest.fixture(autouse=True)
 def without_report_files(monkeypatch):
     """Replace the recording and the HTML report, which take most of the time and are not tested here."""
-    monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
+    monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, *_: target.write_bytes(b"rrd"))
     monkeypatch.setattr(
         "mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page", encoding="utf-8")
     )

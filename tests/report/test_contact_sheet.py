@@ -96,7 +96,7 @@ def count_pixels(picture: Image.Image, colour: tuple[int, int, int]) -> int:
 
 
 def test_a_sheet_shows_the_body_left_of_the_character(cleaned, tmp_path, monkeypatch):
-    monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, comparison: target.write_bytes(b"rrd"))
+    monkeypatch.setattr("mocapfix.report.recording.write_recording", lambda target, *_: target.write_bytes(b"rrd"))
     result = replace(cleaned.result, motion=cleaned.result.motion.select_frames(np.arange(61)))
     outputs = result.write(tmp_path, options=OutputOptions(characters=("mixamo",), extra_formats=("sheet",), output_rate_hz=30.0))
     with Image.open(outputs["mixamo.sheet.png"]) as picture:

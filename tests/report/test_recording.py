@@ -7,8 +7,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
+from mocapfix.characters.character import CharacterMotion
+from mocapfix.characters.character_files import write_character_glb
+from mocapfix.characters.load_character import load_character
 from mocapfix.errors import WriteError
+from mocapfix.report.contact_sheet import ShownFigure
 from mocapfix.report.recording import (
+    BESIDE_M,
     CLEANED_COLOUR,
     ESTIMATED_COLOUR,
     FAULTY_COLOUR,
@@ -106,6 +111,20 @@ def test_bones_join_each_joint_to_its_parent(scene, recording):
     joints, parents = scene.comparison.joint_position_world[10], scene.comparison.skeleton.parents
     np.testing.assert_allclose(strips[:, 0], joints[parents[1:]], atol=1e-6)
     np.testing.assert_allclose(strips[:, 1], joints[1:], atol=1e-6)
+
+
+def test_a_figure_is_as_large_as_the_body_and_stands_beside_it(scene, tmp_path):
+    """The figure has half of its size, and its floor is at 0; it has frames from 0.5 s on."""
+    character, glb, take = load_character("mixamo"), tmp_path / "walk.mixamo.glb", scene.comparison.input_take
+    rest = character.skeleton.rest_rotations
+    place = np.array([0.0, 1.0, 0.0]) + np.arange(20)[:, None] * [0.0, 0.0, 0.01]
+    write_character_glb(glb, character, CharacterMotion(place, np.tile(rest, (20, 1, 1, 1)), take.rate), "walk")
+    write_recording(tmp_path / "walk.rrd", scene.comparison, [ShownFigure(character, glb, 2.0, 0.5, 0.5 + 19 / take.rate, 0.1)])
+    recorded = Recording(tmp_path / "walk.rrd")
+    strips, first = recorded.read_column("/world/figures/mixamo", "strips"), round(0.5 * take.rate)
+    shown = {n for n, lines in enumerate(strips) if lines}
+    assert {*range(first, first + 20)} <= shown <= {*range(first - 6, first + 26)}  # it stays for 0.05 s
+    np.testing.assert_allclose(strips[first + 10][0][0], np.array([0.0, 2.0 + 0.1, 2 * 0.1]) + BESIDE_M, atol=1e-5)
 
 
 def test_times_are_seconds_and_frames_are_the_files_numbers(recording):

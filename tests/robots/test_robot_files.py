@@ -9,17 +9,27 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocapfix.characters.character_files import write_character_glb
 from mocapfix.errors import OptionError, WriteError
+from mocapfix.io.gltf import parse_glb, read_gltf_nodes
+from mocapfix.io.gltf_mesh import compute_node_matrices, read_gltf_mesh
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import OutputOptions
 from mocapfix.output_formats import list_output_formats
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion
-from mocapfix.robots.robot_files import build_robot_arrays, load_robot_files, write_robot_csv, write_robot_pickle
+from mocapfix.robots.robot_files import (
+    ON_FLOOR_M,
+    build_robot_arrays,
+    convert_robot_motion,
+    load_robot_files,
+    write_robot_csv,
+    write_robot_pickle,
+)
 from mocapfix.robots.robot_map import read_robot_map
 from tests.characters.walking_body import RATE, load_walk
-from tests.robots.humanoid import build_mjcf, list_parts
+from tests.robots.humanoid import LENGTHS, SOLE, build_mjcf, list_parts
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is in the extra `robot`")
 FRAMES = 50
@@ -106,6 +116,34 @@ def test_a_take_of_one_frame_has_no_velocities(turning):
         np.testing.assert_array_equal(arrays[name], 0.0)
 
 
+def test_the_glb_has_the_links_in_their_places_with_y_up(turning, path, tmp_path):
+    """Also a link that slides in its parent's axes."""
+    character, moved = load_robot_files(path, OutputOptions()).character, turning.link_positions.copy()
+    moved[:, -1, 0] += 0.1 * np.arange(FRAMES) / RATE
+    sliding = replace(turning.robot, is_slide=turning.robot.joint_links == len(turning.robot.link_names) - 1)
+    motion = convert_robot_motion(replace(turning, robot=sliding, link_positions=moved))
+    write_character_glb(tmp_path / "walk.own.glb", character, motion, "walk")
+    content = parse_glb(tmp_path / "walk.own.glb", (tmp_path / "walk.own.glb").read_bytes())
+    nodes, times = read_gltf_nodes(tmp_path, content.document), np.arange(FRAMES) / RATE
+    links = [nodes.names.index(name) for name in turning.robot.link_names]
+    matrices = compute_node_matrices(content, nodes, content.document["animations"][0], times.tolist())[:, links]
+    np.testing.assert_allclose(matrices[..., :3, 3], moved[..., [1, 2, 0]], atol=1e-5)
+    np.testing.assert_allclose(matrices[..., :3, :3], turning.link_rotations[..., [1, 2, 0], :], atol=1e-5)
+
+
+def test_the_mesh_of_a_robot_stands_on_its_soles_and_reaches_the_top_of_its_head(path):
+    character = load_robot_files(path, OutputOptions()).character
+    assert character.source is not None
+    content = parse_glb(path, character.source.data)
+    nodes = read_gltf_nodes(path, content.document)
+    corners = read_gltf_mesh(content, nodes).pose(compute_node_matrices(content, nodes)[0])
+    assert corners[:, 1].min() == pytest.approx(0.0, abs=1e-5)
+    height = 0.07 + LENGTHS["shin"] + LENGTHS["thigh"] + 0.15 + 0.45 + 0.12 + 0.09
+    assert corners[:, 1].max() == pytest.approx(height, abs=1e-5)
+    toes = corners[corners[:, 1] < 0.01]
+    assert toes[:, 2].max() == pytest.approx(0.15, abs=1e-5)  # it looks along Z
+
+
 def load_solved() -> tuple[Skeleton, Motion]:
     """Return skeleton and motion of the walk, 30 frames."""
     character, motion = load_walk()
@@ -117,15 +155,21 @@ def load_solved() -> tuple[Skeleton, Motion]:
 
 def test_files_of_a_robot(path, tmp_path):
     files = load_robot_files(path, OutputOptions(extra_formats=("robot-csv", "robot-pkl")))
-    assert files.suffixes == ("own.npz", "own.map.yaml", "own.csv", "own.columns.json", "own.pkl")
+    assert files.suffixes == ("own.npz", "own.glb", "own.map.yaml", "own.csv", "own.columns.json", "own.pkl")
     target = tmp_path / "walk.own.npz"
-    notes = files.write(target, *load_solved(), RATE, None, slice(5, 25))
-    assert {each.name for each in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in files.suffixes}
+    notes, moved = files.write(target, *load_solved(), RATE, None, slice(5, 25))
+    assert {each.name for each in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in files.suffixes if suffix != "own.glb"}
+    assert moved.frame_count == 20
     with np.load(target) as arrays:
         assert arrays["joint_pos"].shape == (20, len(files.body.robot.joint_names))
+        feet = [arrays["body_names"].tolist().index(f"{side}_foot") for side in ("left", "right")]
+        turns = Rotation.from_quat(arrays["body_quat_w"][:, feet][..., [1, 2, 3, 0]].reshape(-1, 4)).as_matrix()
+        soles = arrays["body_pos_w"][:, feet][:, :, None] + (SOLE @ turns.swapaxes(1, 2)).reshape(20, 2, 4, 3)
+    share = (soles[..., 2].min(axis=(1, 2)) < ON_FLOOR_M).mean()
     assert "own.npz: Found by the structure of the robot." in notes[0]
     assert "Places are scaled by" in notes[0]
     assert "Limbs point as the performer's within" in notes[1]
+    assert f"; a sole is on the floor in {share:.0%} of the frames;" in notes[1]
     again = load_robot_files(path, OutputOptions(character_map=str(tmp_path / "walk.own.map.yaml")))
     assert again.body.map.reason == "Read from walk.own.map.yaml."
     assert read_robot_map(tmp_path / "walk.own.map.yaml", again.body.robot).feet == files.body.map.feet
