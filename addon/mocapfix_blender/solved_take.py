@@ -7,11 +7,15 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from .axes import BLENDER_FROM_Y_UP, convert_points, rotate_quaternions
+from .axes import BLENDER_FROM_Y_UP, align_signs, convert_points, make_matrices, make_quaternions, rotate_quaternions
 from .process import ProcessError
 
 NPZ_FORMAT = "mocapfix 1"
 """the form of the file that this add-on reads"""
+HAND_BONES = ("Palm", "ThumbMetacarpal", "ThumbProximal", "ThumbDistal") + tuple(
+    f"{finger}{bone}" for finger in ("Index", "Middle", "Ring", "Little") for bone in ("Proximal", "Intermediate", "Distal")
+)
+"""the bones of a hand after its side, as in the BVH of a take: the palm, and three joints of each finger"""
 
 
 @dataclass(frozen=True)
@@ -133,7 +137,7 @@ def read_solved_take(path: Path) -> SolvedTake:
 
 
 def _build_body(arrays: dict[str, np.ndarray]) -> SkeletonMotion:
-    return SkeletonMotion(
+    body = SkeletonMotion(
         tuple(map(str, arrays["names"])),
         arrays["parents"],
         convert_points(arrays["offsets"]),
@@ -142,4 +146,48 @@ def _build_body(arrays: dict[str, np.ndarray]) -> SkeletonMotion:
         rotate_quaternions(arrays["rotations"], BLENDER_FROM_Y_UP),
         float(arrays["rate"]),
         arrays["solved_joints"],
+    )
+    for side in ("Left", "Right"):
+        if f"{side.lower()}_hand_wrist" in arrays:
+            body = _add_hand(body, side, arrays)
+    return body
+
+
+def _add_hand(body: SkeletonMotion, side: str, arrays: dict[str, np.ndarray]) -> SkeletonMotion:
+    """Return a body with the palm and the fingers of a hand below its joint LeftHand or RightHand."""
+    frames = np.rint(np.arange(len(body.root)) * float(arrays["marker_rate"]) / body.rate).astype(int)
+    frames = np.minimum(frames, len(arrays[f"{side.lower()}_hand_wrist"]) - 1)
+    wrist, points, palm, turns = (
+        arrays[f"{side.lower()}_hand_{name}"][frames] for name in ("wrist", "points", "palm", "rotations")
+    )
+    wrist, points = convert_points(wrist), convert_points(points)
+    palm, turns = (rotate_quaternions(each, BLENDER_FROM_Y_UP) for each in (palm, turns))
+    carrier, position, axes = body.names.index(f"{side}Hand"), body.root, make_matrices(body.rotations[:, 0])
+    path = [carrier]
+    while body.parents[path[0]] > 0:
+        path.insert(0, int(body.parents[path[0]]))
+    for joint in path:
+        position, axes = position + axes @ body.offsets[joint], axes @ make_matrices(body.rotations[:, joint])
+    axes = axes.swapaxes(-1, -2)
+    place = (axes @ (wrist - position)[..., None])[..., 0]
+    palm_axes = make_matrices(palm)
+    fingers = [np.repeat(palm_axes[:, None], 5, axis=1)]
+    for number in range(3):
+        fingers.append(fingers[-1] @ make_matrices(turns[:, number::3]))
+    joints, tips = points[:, :15].reshape(-1, 5, 3, 3), points[:, 15:, None]
+    chains = np.concatenate([np.broadcast_to(wrist[:, None, None], tips.shape), joints, tips], axis=2)
+    vectors = np.diff(chains, axis=2)[..., None]
+    bones = np.median((np.stack(fingers, axis=2).swapaxes(-1, -2) @ vectors)[..., 0], axis=0)  # in the axes of the parents
+    first, ends = len(body.names), np.full((16, 3), np.nan)
+    ends[3::3] = bones[:, 3]
+    parents = [carrier, *(first + number if number % 3 else first for number in range(15))]
+    return replace(
+        body,
+        names=(*body.names, *(side + name for name in HAND_BONES)),
+        parents=np.concatenate([body.parents, parents]),
+        offsets=np.concatenate([body.offsets, np.median(place, axis=0)[None], bones[:, :3].reshape(15, 3)]),
+        ends=np.concatenate([body.ends, ends]),
+        rotations=np.concatenate([body.rotations, align_signs(make_quaternions(axes @ palm_axes))[:, None], turns], axis=1),
+        is_solved=np.concatenate([body.is_solved, np.ones(16, bool)]),
+        translations=body.translations | {first: place},
     )

@@ -15,6 +15,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.load_character import load_character_preset
+from mocapfix.io.c3d import write_c3d
+from mocapfix.lab.hands import compose_hands
+from mocapfix.model.windows import select_frames
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 ROOT = Path(__file__).parents[2]
@@ -47,7 +50,7 @@ armature.constraints[0].mute = armature.pose.bones["LeftFoot"].constraints[0].mu
 
 @pytest.fixture(scope="module")
 def takes(tmp_path_factory) -> Path:
-    """A folder with takes of the same person: walk.c3d, motion.bvh and damaged.c3d."""
+    """A folder with takes: walk.c3d, motion.bvh and damaged.c3d of the same person, and hands.c3d with finger markers."""
     folder = tmp_path_factory.mktemp("takes")
     truth = compose_take(seed=3, seconds=1.4, rate=RATE_HZ)
     markers = truth.marker_positions.copy()
@@ -55,6 +58,7 @@ def takes(tmp_path_factory) -> Path:
         markers[frames, truth.labels.index(label)] = np.nan
     missing = np.isnan(markers[..., 0])
     write_synthetic_take(folder / "walk.c3d", replace(truth, damaged_positions=markers, missing_mask=missing))
+    write_c3d(folder / "hands.c3d", select_frames(compose_hands(seed=1).take, slice(0, max(FRAMES))))
     (folder / "damaged.c3d").write_bytes((folder / "walk.c3d").read_bytes()[:6000])
     return folder
 
@@ -134,6 +138,9 @@ def answers(takes, archive, tmp_path_factory) -> dict:
         ("bvh", "run_code", {"code": f"import shutil; shutil.copy({str(takes / 'walk.mocapfix' / 'walk.bvh')!r}, {bvh!r})"}),
         ("import bvh", "run_operator", {"name": "import_take", "filepath": bvh, "keep_files": True}),
         ("imported bvh", "describe_scene", {"frames": FRAMES}),
+        ("clear once more", "clear_scene", {}),
+        ("import hands", "run_operator", import_walk | {"filepath": str(takes / "hands.c3d")}),
+        ("imported hands", "describe_scene", {"frames": FRAMES}),
         ("modal", "run_modal", {"arguments": [bvh, "--also", "npz"], "escape_after": None}),
         ("cancelled", "run_modal", {"arguments": [walk], "escape_after": 3}),
         ("disabled", "run_code", {"code": (
@@ -216,6 +223,18 @@ def test_heads_of_imported_bones_are_the_solved_joints(answers, solved):
     assert answers["imported"]["armatures"].keys() == {"walk"}
     assert answers["imported"]["armatures"]["walk"]["bones"] == [str(name) for name in solved["names"]]
     check_heads(answers["imported"]["frames"], "walk", solved)
+
+
+def test_heads_of_the_bones_of_fingers_are_the_solved_joints(answers, takes):
+    assert answers["import hands"] == "FINISHED"
+    bones = answers["imported hands"]["armatures"]["hands"]["bones"]
+    with np.load(takes / "hands.mocapfix" / "hands.npz") as file:
+        for side in ("left", "right"):
+            palm = bones.index(f"{side.title()}Palm")
+            points = np.concatenate([file[f"{side}_hand_wrist"][:, None], file[f"{side}_hand_points"][:, :15]], axis=1)
+            for frame, answer in zip(FRAMES, answers["imported hands"]["frames"], strict=True):
+                heads = [answer["heads"]["hands"][bone] for bone in bones[palm : palm + 16]]
+                np.testing.assert_allclose(heads, to_blender(points[frame - 1]), atol=CLOSE_M)
 
 
 def test_scene_has_the_rate_and_the_range_of_the_take(answers, solved):
