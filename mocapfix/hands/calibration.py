@@ -1,8 +1,8 @@
 """Calibration of a hand: what is the same in all frames of a take.
 
-That is lengths, the place of the palm on the body, the mean pose, and the places of the markers. They are minimised together, the
-poses of the frames adapting (Gauss-Newton with the poses eliminated; `solve.minimise.minimise_shared`), with the logarithm of the
-determinant of the poses' curvature added to the cost (Laplace's approximation).
+That is lengths, the bases of the rays, the place of the palm on the body, the mean pose, and the places of the markers. They are
+minimised together, the poses of the frames adapting (Gauss-Newton with the poses eliminated; `solve.minimise.minimise_shared`),
+with the logarithm of the determinant of the poses' curvature added to the cost (Laplace's approximation).
 """
 
 import math
@@ -22,8 +22,8 @@ from mocapfix.hands.calibrated_hand import (
     minimise_hand_poses,
 )
 from mocapfix.hands.finger_markers import FingerMarkers
-from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, TIP_JOINTS, load_hand
-from mocapfix.solve.kinematics import Poses, compute_tree_poses
+from mocapfix.hands.hand_model import HAND_JOINTS, RAY_BASES, RAY_ROOTS, TIP_JOINTS, load_hand
+from mocapfix.solve.kinematics import Poses, compute_tree_poses, predict_markers
 from mocapfix.solve.minimise import compute_costs, minimise_shared
 from mocapfix.solve.terms import MarkerAttachment, compute_robust_weights
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
@@ -63,8 +63,8 @@ class _Linearisation(NamedTuple):
 class _HandCalibration:
     """The problem of calibration: N frames of a hand, and its unknowns.
 
-    They are the hand's length, its 15 bones and five tips, place and rotation of the palm, the mean code of the take, the mean
-    angles of its joints, and the places of K markers.
+    They are the hand's length, its 15 bones and five tips, the bases of its rays on the palm, place and rotation of the palm, the
+    mean code of the take, the mean angles of its joints, and the places of K markers.
     """
 
     start: CalibratedHand  # the average hand of a person of this size
@@ -75,8 +75,9 @@ class _HandCalibration:
     robust_scale_m: float
 
     @property
-    def splits(self) -> Int[np.ndarray, "6"]:
-        return np.cumsum([1, len(HAND_JOINTS) + len(TIP_JOINTS), 3, 3, self.start.model.prior.code_size, 3 * len(HAND_JOINTS)])
+    def splits(self) -> Int[np.ndarray, "7"]:
+        bones, codes = len(HAND_JOINTS) + len(TIP_JOINTS), self.start.model.prior.code_size
+        return np.cumsum([1, bones, 3 * len(RAY_BASES), 3, 3, codes, 3 * len(HAND_JOINTS)])
 
     @property
     def size(self) -> int:
@@ -84,7 +85,7 @@ class _HandCalibration:
 
     def build_hand(self, unknowns: np.ndarray) -> CalibratedHand:
         """Return the hand with these unknowns."""
-        length, bones, position, rotation, code, angles, offsets = np.split(unknowns, self.splits)
+        length, bones, bases, position, rotation, code, angles, offsets = np.split(unknowns, self.splits)
         start, model = self.start, self.start.model
         factors = (1 + model.length_relative_sd * length) * (1 + model.bone_relative_sd * bones)
         mean_angles = np.zeros(model.prior.mean_vectors.shape)
@@ -93,7 +94,7 @@ class _HandCalibration:
         spread = start.markers.markers.marker_spread[:, None]
         return replace(
             start,
-            model=replace(model.scale(factors), prior=prior),
+            model=replace(model.scale(factors, model.base_sd_m * bases.reshape(-1, 3)), prior=prior),
             palm_position=start.palm_position + model.palm_position_sd_m * position,
             palm_rotation=compute_rotations(model.palm_rotation_sd_rad * rotation),
             marker_offsets=start.marker_offsets + spread * offsets.reshape(-1, 3),
@@ -109,7 +110,7 @@ class _HandCalibration:
         state = _CalibrationState(unknowns, math.inf, unknowns, poses, codes)
         rows = self._linearise(state)
         volume, of_volume = self._measure_volume(hand, state, rows)
-        gradient = self.frame_weight * (np.einsum("nrq,nr->q", rows.of_unknowns, rows.values) + of_volume) + unknowns
+        gradient = self.frame_weight * (np.tensordot(rows.values, rows.of_unknowns, 2) + of_volume) + unknowns
         cost = self.frame_weight * (float(costs.sum()) + volume) + 0.5 * float(unknowns @ unknowns)
         return replace(state, cost=cost, gradient=gradient)
 
@@ -139,13 +140,14 @@ class _HandCalibration:
             if index is not None:
                 part = part @ rotation[:, None, hand.model.skeleton.parents[HAND_JOINTS[index]]].swapaxes(-1, -2)
             turn = [part[..., 1, 2] - part[..., 2, 1], part[..., 2, 0] - part[..., 0, 2], part[..., 0, 1] - part[..., 1, 0]]
-            lever_moves = moves[:, beyond] - (0.0 if index is None else joint_moves[:, index, None])
-            gradient += np.einsum("nka,nkaq->q", np.stack(turn, axis=-1), lever_moves)
+            turns = np.stack(turn, axis=-1)
+            gradient += np.tensordot(turns, moves[:, beyond], 3)
+            gradient -= 0.0 if index is None else np.tensordot(turns.sum(1), joint_moves[:, index], 2)
         return float(np.linalg.slogdet(curvature)[1].sum()) / 2, gradient
 
     def _weigh_markers(self, hand: CalibratedHand, state: _CalibrationState) -> Float[np.ndarray, "N K"]:
         """Return one over the standard deviation of each sample, 0 for one that is not used; robust."""
-        distance2 = ((self._differentiate_points(hand, state, hand.attachment).values - self.markers) ** 2).sum(-1)
+        distance2 = ((predict_markers(hand.subject, state.poses) - self.markers) ** 2).sum(-1)
         scale2 = (self.robust_scale_m / MARKER_SD_M) ** 2
         return np.sqrt(compute_robust_weights(distance2 / hand.marker_sd_m**2, scale2)) * self.is_used / hand.marker_sd_m
 
@@ -165,7 +167,7 @@ class _HandCalibration:
         turn = compute_rotation_vectors(local[:, 0] @ target[:, 0].swapaxes(-1, -2))
         inverse_sd = np.repeat(np.stack([1 / palm.sd_m, 1 / palm.sd_rad], axis=1), 3, axis=1)
         of_palm, of_pose = np.zeros((2, count, 6, self.size)), np.zeros((count, 6, state.pose_size))
-        places = slice(*self.splits[1:3]), slice(*self.splits[2:4])
+        places = slice(*self.splits[2:4]), slice(*self.splits[3:5])
         of_palm[0, :, :3, places[0]] = -model.palm_position_sd_m * palm.rotation
         of_palm[0, :, 3:, places[1]] = -model.palm_rotation_sd_rad * palm.hand_rotation
         of_pose[:, range(6), range(6)] = 1.0
@@ -181,8 +183,8 @@ class _HandCalibration:
             of_vectors[:, 3 * j : 3 * j + 3, 6 + 3 * j : 9 + 3 * j] = jacobian[:, j]
         of_deviation, of_mean = of_vectors.copy(), np.zeros((count, 3 * len(HAND_JOINTS), self.size))
         of_deviation[..., free.stop :] = -modes.T
-        of_mean[..., slice(*self.splits[3:5])] = -np.sqrt(1 / prior.within_share - 1) * modes.T
-        of_mean[..., slice(*self.splits[4:6])] = -np.diag(prior.mean_axis_sd_rad[HAND_JOINTS].ravel())
+        of_mean[..., slice(*self.splits[4:6])] = -np.sqrt(1 / prior.within_share - 1) * modes.T
+        of_mean[..., slice(*self.splits[5:7])] = -np.diag(prior.mean_axis_sd_rad[HAND_JOINTS].ravel())
         sd = prior.axis_sd_rad[HAND_JOINTS].ravel()
         joints = [deviation.reshape(count, -1) / sd, of_deviation / sd[:, None], of_mean / sd[:, None]]
         is_beyond = (excess != 0).reshape(count, -1) / hand.model.limit_sd_rad
@@ -221,6 +223,10 @@ class _HandCalibration:
             for ray, joint in enumerate(TIP_JOINTS):
                 along = place[:, -len(TIP_JOINTS) + ray] - position[:, joint]
                 of_bones[:, -len(TIP_JOINTS) + ray, :, len(HAND_JOINTS) + ray] = along / factors[len(HAND_JOINTS) + ray]
+        for ray, base in enumerate(RAY_BASES):
+            beyond = np.flatnonzero((points.joints > RAY_ROOTS[ray]) & (points.joints <= RAY_ROOTS[ray] + 3))
+            own = self.splits[1] + 3 * ray
+            of_unknowns[:, beyond, :, own : own + 3] = model.base_sd_m * factors[3 * ray] * rotation[:, parents[base], None]
         of_unknowns[..., 0] = of_bones @ (model.length_relative_sd * (1 + model.bone_relative_sd * bones))
         of_unknowns[..., 1 : self.splits[1]] = of_bones * model.bone_relative_sd * (1 + model.length_relative_sd * length)
         if first_offset is not None:
@@ -239,7 +245,8 @@ class _HandCalibration:
         by_pose = rows.of_pose.swapaxes(-1, -2)
         mixed = by_pose @ rows.of_unknowns
         response = -np.linalg.solve(by_pose @ rows.of_pose, mixed)
-        reduced = np.einsum("nrq,nrs->qs", rows.of_unknowns, rows.of_unknowns) + np.einsum("ndq,nds->qs", mixed, response)
+        rows_of_frames = [0, 1], [0, 1]
+        reduced = np.tensordot(rows.of_unknowns, rows.of_unknowns, rows_of_frames) + np.tensordot(mixed, response, rows_of_frames)
         return self.frame_weight * reduced + np.eye(self.size), response
 
     def compute_point_sd(self, state: _CalibrationState) -> Float[np.ndarray, "20"]:
@@ -249,9 +256,9 @@ class _HandCalibration:
         joints = np.concatenate([HAND_JOINTS, TIP_JOINTS])
         offsets = np.concatenate([np.zeros((len(HAND_JOINTS), 3)), hand.model.tips])
         points = self._differentiate_points(hand, state, MarkerAttachment(joints, offsets), None)
-        changes = points.of_unknowns + np.einsum("npad,ndq->npaq", points.of_pose, response)
-        variance = np.einsum("npaq,qr,npar->p", changes, np.linalg.inv(curvature), changes, optimize=True)
-        return np.sqrt(variance / (3 * len(changes)))
+        changes = points.of_unknowns + points.of_pose @ response[:, None]
+        deviations = changes @ np.linalg.cholesky(np.linalg.inv(curvature))
+        return np.sqrt((deviations**2).sum(-1).mean((0, 2)))
 
 
 def _build_cross_matrices(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:

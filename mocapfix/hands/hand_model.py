@@ -24,6 +24,7 @@ Side: TypeAlias = Literal["Left", "Right"]
 RAYS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
 JOINTS_PER_RAY = 3
 RAY_ROOTS = np.array([1 + 4 * ray for ray in range(len(RAYS))])  # in the tree: palm, then for each ray its root and its joints
+RAY_BASES = RAY_ROOTS + (np.array(RAYS) != "Thumb")  # whose offset is the place of a ray's first joint on the palm
 HAND_JOINTS = np.concatenate([root + np.arange(1, 4) for root in RAY_ROOTS])  # the 15 joints, ray by ray
 TIP_JOINTS = HAND_JOINTS[2::3]  # the joints that carry the tips
 ANGLES = ("twist", "abduction", "flexion")
@@ -70,6 +71,7 @@ class HandModel:
     length_m: float  # of the hand
     length_relative_sd: float
     bone_relative_sd: float
+    base_sd_m: float  # per axis, of the place of a ray's first joint on the palm, besides its distance from the wrist
     palm_position: Float[np.ndarray, "3"]  # m: the wrist's centre in the axes of the body's forearm
     palm_position_sd_m: float  # per axis, over people
     palm_rotation_sd_rad: float  # of the palm about the axes of the body's hand joint
@@ -97,13 +99,15 @@ class HandModel:
         """The names of the five tips, thumb to little finger."""
         return tuple(f"{self.side}Hand{ray}Tip" for ray in RAYS)
 
-    def scale(self, factors: Float[np.ndarray, " B"]) -> "HandModel":
+    def scale(self, factors: Float[np.ndarray, " B"], base_shifts: Float[np.ndarray, "5 3"] | None = None) -> "HandModel":
         """Return the hand with other lengths.
 
         Args:
             factors: Of the offsets of the 15 joints, and then of the five tips.
+            base_shifts: Of the joints in RAY_BASES, before the scaling, in metres in their parents' axes.
         """
         offsets, ends = self.skeleton.offsets.copy(), self.skeleton.ends.copy()
+        offsets[RAY_BASES] += np.zeros(3) if base_shifts is None else base_shifts
         offsets[HAND_JOINTS] *= factors[: len(HAND_JOINTS), None]
         offsets[RAY_ROOTS[0]] *= factors[0]  # the saddle joint of the thumb is its ray's root
         ends[TIP_JOINTS] *= factors[len(HAND_JOINTS) :, None]
@@ -144,7 +148,7 @@ def load_hand(side: Side) -> HandModel:
         angles = _read_angles(data)
         key = "modes"
         prior = _build_prior(side, skeleton, data, angles)
-        key = "hand_length, bone_relative_sd, palm, limit_sd"
+        key = "hand_length, bone_relative_sd, base_sd, palm, limit_sd"
         palm, length = data["palm"], data["hand_length"]
         return HandModel(
             side,
@@ -156,6 +160,7 @@ def load_hand(side: Side) -> HandModel:
             float(length["average_m"]),
             float(length["relative_sd"]),
             float(data["bone_relative_sd"]),
+            float(data["base_sd"]),
             _mirror(side, np.array(palm["position"], float)),
             float(palm["position_sd"]),
             np.radians(palm["rotation_sd"]),

@@ -47,7 +47,7 @@ from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_problem import find_key_frames, find_unobserved_joints
 from mocapfix.solve.terms import TrackingTerm
 from mocapfix.stats.sequences import interpolate_rows
-from mocapfix.subject.library import build_subject_marker_set
+from mocapfix.subject.library import build_subject_marker_set, load_marker_set
 
 MIN_PALM_SD_M = 0.005  # per axis, of the wrist as the forearm carries it; more where the body's hand is less certain
 MIN_PALM_SD_RAD = 0.17  # of the palm about the body's hand joint
@@ -183,7 +183,22 @@ def trace_palm(subject: Subject, motion: Motion, side: Side) -> PalmPath:
     hand, forearm = (subject.skeleton.find_joint(f"{side}{name}") for name in ("Hand", "ForeArm"))
     sd = motion.joint_sd[:, hand] if motion.joint_sd.size else np.zeros(len(position))
     sd_m, sd_rad = np.hypot(MIN_PALM_SD_M, sd), np.hypot(MIN_PALM_SD_RAD, sd / PALM_LEVER_M)
-    return PalmPath(position[:, forearm], rotation[:, forearm], rotation[:, hand], sd_m, sd_rad)
+    origin = position[:, forearm] + rotation[:, forearm] @ find_forearm_shift(subject, side)
+    return PalmPath(origin, rotation[:, forearm], rotation[:, hand], sd_m, sd_rad)
+
+
+def find_forearm_shift(subject: Subject, side: Side) -> Float[np.ndarray, "3"]:
+    """Return the mean displacement in metres of the forearm's markers from their usual places in its axes; 0 for keypoints.
+
+    The calibrated joint of the hand is drawn to the wrist where the hand bends there, and takes the forearm's axis along.
+    The wrist stays where it is beside the markers.
+    """
+    usual, forearm = load_marker_set(subject.marker_set), subject.skeleton.find_joint(f"{side}ForeArm")
+    columns = usual.find_columns(subject.labels)
+    known = np.flatnonzero((columns >= 0) & (subject.joints[columns] == forearm))
+    if usual.point_sd or not len(known):
+        return np.zeros(3)
+    return (subject.marker_offsets[columns[known]] - usual.marker_offsets[known] * subject.skeleton.size_ratio).mean(0)
 
 
 def add_palm_markers(hand: FingerMarkers, subject: Subject, labels: tuple[str, ...]) -> FingerMarkers:
@@ -192,7 +207,7 @@ def add_palm_markers(hand: FingerMarkers, subject: Subject, labels: tuple[str, .
         return hand
     model, joint = load_hand(hand.side), subject.skeleton.find_joint(f"{hand.side}Hand")
     rows, own, size_ratio = np.flatnonzero(subject.joints == joint), hand.markers, subject.skeleton.size_ratio
-    from_wrist = subject.skeleton.offsets[joint] - model.palm_position * size_ratio
+    from_wrist = subject.skeleton.offsets[joint] - model.palm_position * size_ratio - find_forearm_shift(subject, hand.side)
     palm = build_subject_marker_set(subject).select_markers([subject.labels[k] for k in rows])
     columns = palm.find_columns(labels)
     shown = columns >= 0

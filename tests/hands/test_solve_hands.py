@@ -8,8 +8,9 @@ import pytest
 from mocapfix.fill.gap_estimates import estimate_missing_samples
 from mocapfix.hands.calibrated_hand import minimise_hand_poses
 from mocapfix.hands.calibration import calibrate_hand
+from mocapfix.hands.finger_markers import find_finger_markers
 from mocapfix.hands.hand_model import HAND_JOINTS, RAYS, TIP_JOINTS
-from mocapfix.hands.solve_hands import HandMotion, solve_hand, solve_hands
+from mocapfix.hands.solve_hands import HandMotion, add_palm_markers, solve_hand, solve_hands, trace_palm
 from mocapfix.io.npz import write_npz
 from mocapfix.model.motion import Motion
 from mocapfix.model.take import Take
@@ -171,6 +172,26 @@ def test_fingers_do_not_move_the_body_and_other_sets_have_none():
     is_used = take.visible.copy()
     is_used[:, -2:] = False
     assert solve_hands(take, is_used, subject, motion) == ()
+
+
+@pytest.mark.parametrize("side", ["Left", "Right"])
+def test_the_wrist_stays_beside_the_markers_where_the_forearm_of_the_body_lies_beside_them(side):
+    subject, rate, shift = draw_subject(np.random.default_rng(3), False, "frontwaist53"), 50.0, np.array([0.01, 0.03, -0.01])
+    motion = compose_motion(subject, 1.0, rate)
+    hands = find_finger_markers(subject.marker_set, (*subject.labels, *build_hand(side).markers.markers.labels))
+    hand = next(each for each in hands if each.side == side)
+    forearm, joint = (subject.skeleton.find_joint(f"{side}{name}") for name in ("ForeArm", "Hand"))
+    local, skeleton = motion.local_rotations.copy(), subject.skeleton
+    local[:, [forearm, joint]] = np.eye(3)
+    offsets, places = skeleton.offsets.copy(), subject.marker_offsets.copy()
+    offsets[forearm] += shift
+    places[np.isin(subject.joints, [forearm, joint])] -= shift
+    moved = replace(subject, skeleton=replace(skeleton, offsets=offsets), marker_offsets=places)
+    motion = replace(motion, local_rotations=local)
+    palms = [trace_palm(each, motion, side) for each in (subject, moved)]
+    np.testing.assert_allclose(palms[1].position, palms[0].position, atol=1e-3)  # the size of the body changes with the offsets
+    backs = [add_palm_markers(hand, each, subject.labels).markers.marker_offsets for each in (subject, moved)]
+    np.testing.assert_allclose(backs[1], backs[0], atol=1e-3)
 
 
 def test_fingers_without_a_forearm_are_not_solved():
