@@ -270,9 +270,8 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
         return notes
 
     is_sheet_written = "sheet" in options.extra_formats
-    sheet_suffixes = [f"{files.character.name}.{SHEET_SUFFIX}"] if is_sheet_written else []
-    first, *others = files.suffixes
-    return OutputFormat(first, write_file, (*others, *sheet_suffixes), needs_body=True, usage_note=usage_note)
+    first, *others = *files.suffixes, *([f"{files.character.name}.{SHEET_SUFFIX}"] * is_sheet_written)
+    return OutputFormat(first, write_file, tuple(others), needs_body=True, usage_note=usage_note)
 
 
 def _write_sheet(target: Path, content: OutputContent) -> None:

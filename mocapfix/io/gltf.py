@@ -401,6 +401,7 @@ PYRAMID_CORNERS = np.array(
     ]
 )
 PYRAMID_FACES = np.array([[0, k, k % 4 + 1] for k in (1, 2, 3, 4)] + [[5, k % 4 + 1, k] for k in (1, 2, 3, 4)])
+BONE_COLOUR = [0.55, 0.57, 0.6, 1.0]  # linear, opaque; without a material viewers show metal, almost black
 MIN_SKIN_BONE_M = 1e-6  # a shorter bone has no pyramid
 
 
@@ -441,7 +442,7 @@ def build_skinned_document(
     carried = [(joint, positions[joint] + corners @ rotations[joint].T) for joint, corners in shapes]
     triangles = [*_build_pyramids(shown_parents, positions, tails), *carried]
     primitive = {"attributes": _add_triangles(buffer, triangles), "material": 0}
-    buffer.document["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0.0}}]  # viewers show bare metal almost black
+    buffer.document["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": BONE_COLOUR, "metallicFactor": 0.0}}]
     buffer.document["meshes"] = [{"name": "Bones", "primitives": [primitive]}]
     return buffer
 
