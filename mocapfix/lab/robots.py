@@ -25,7 +25,7 @@ from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.errors import ReadError
 from mocapfix.lab.retargeting import BenchMotion, load_bench_motions
 from mocapfix.robots.load_robot import compile_model, load_robot, may_collide
-from mocapfix.robots.retarget_robot import RobotMotion, compose_robot_motion, find_start, retarget_to_robot
+from mocapfix.robots.retarget_robot import STANDING, RobotMotion, compose_robot_motion, find_start, retarget_to_robot
 from mocapfix.robots.robot_files import OVERLAP_M, build_robot_arrays, compute_limb_directions, measure_robot_motion
 from mocapfix.robots.robot_map import find_robot_map
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets, stand_feet
@@ -74,15 +74,15 @@ def measure_robot(path: Path, performed: BenchMotion) -> list[Row]:
     source = build_body_frame(build_cmu31_character(performed.skeleton))
     segments = compute_segment_motion(source, performed.motion)
     feet = resample_foot_contacts(performed.contacts, performed.motion.frame_count, rate)
-    retarget_to_robot(body, source, segments, feet, rate)
+    retarget_to_robot(body, compute_robot_targets(body, source, segments, feet, rate))
     start_s = time.process_time()
-    moved = retarget_to_robot(body, source, segments, feet, rate)
-    spent_s = time.process_time() - start_s
     targets = compute_robot_targets(body, source, segments, feet, rate)
+    moved = retarget_to_robot(body, targets)
+    spent_s = time.process_time() - start_s
     rows = [{"program": "mocapfix"} | measure_figures(body, model, targets, moved, spent_s)]
     if importlib.util.find_spec("mink") is not None and not robot.couplings:
         edges, _ = place_points(body.tree, moved.references, moved.unknowns, body.edge_links, body.edge_offsets)
-        standing, start_s = stand_feet(body, targets, edges), time.process_time()
+        standing, start_s = stand_feet(body, targets, edges, STANDING[-1][0]), time.process_time()
         by_frame = retarget_by_mink(body, model, standing)
         rows.append({"program": "mink"} | measure_figures(body, model, targets, by_frame, time.process_time() - start_s))
     return [{"robot": robot.name, "take": performed.name} | row for row in rows]

@@ -136,6 +136,8 @@ def _list_couplings(model: Any, joints: list[int], path: Path) -> tuple[tuple[in
     found: dict[int, tuple[int, int, float, float]] = {}
     equalities = [k for k in range(model.neq) if model.eq_type[k] == JOINT_EQUALITY and int(model.eq_obj1id[k]) in place]
     free = [joint for joint in joints if joint not in model.eq_obj1id[equalities]]
+    if not free:
+        raise SceneError(f"{path.name}: no joint can move: each is locked or follows another one.")
     for k in equalities:
         follower, leader = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
         if leader >= 0 and leader not in place:

@@ -3,15 +3,14 @@
     targets    = compute_robot_targets(...)    what is kept of the performer
     posture    = find_posture(...)             joint positions of an easy posture, where nothing else decides
     trajectory = solve_windows(...)            a search without places to stand, on every n-th frame
-    targets    = stand_feet(...)               where feet stand
-    trajectory = solve_windows(...)            all terms; first on every n-th frame, then on all
+    targets    = stand_feet(...)               where feet stand, nearest to the last trajectory
+    trajectory = solve_windows(...)            all terms; feet stand loosely first, and at the end on all frames
 
 No frame starts from another one: the search starts in the same posture everywhere and the spline couples the frames, so the
-result does not depend on how a take begins. Joint positions are within their limits, to which control points are clipped at the
-end; limits of speeds are soft.
+result does not depend on how a take begins. Joint positions are within their limits; those of speeds are soft, and
+exact at the end: feet slide where legs are too slow for a motion.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,16 +19,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.repair_methods import make_quaternions_continuous
-from mocapfix.characters.body_frames import BodyFrame, SegmentMotion
-from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.robots.robot import Robot
-from mocapfix.robots.robot_targets import (
-    RobotBody,
-    RobotTargets,
-    compute_robot_targets,
-    list_leaders,
-    stand_feet,
-)
+from mocapfix.robots.robot_targets import RobotBody, RobotTargets, list_leaders, stand_feet
 from mocapfix.solve.trajectory import (
     FAR_START_DAMPING,
     ROOT_UNKNOWNS,
@@ -41,11 +32,9 @@ from mocapfix.solve.trajectory import (
     place_points,
 )
 
-CONTROL_RATE = 30.0  # control points per second, at least
 WINDOW_S, OVERLAP_S = 20.0, 1.0  # longest part of a take that is solved at once, and the time that two parts share
-SPEED_SHARE, SPEED_SD = 0.97, 0.05  # share of the limit from which a speed counts as too high, and its standard deviation
-LIMIT_SD_RAD, LIMIT_SEARCH_SD_RAD = 0.004, 0.03  # of an excess over a joint's limits, at the end and in the search
-POSTURE_SD_RAD, POSTURE_SEARCH_SD_RAD = 2.0, 0.7  # of joint positions about the easy posture, likewise
+SPEED_SHARE, SPEED_SD = 0.97, 0.05  # share of its limit that a speed may reach, and the standard deviation of an excess
+POSTURE_SD_RAD, POSTURE_SEARCH_SD_RAD = 2.0, 0.7  # of joint positions about the easy posture, at the end and in the search
 ACCELERATION_SD, JERK_SD = 60.0, 3000.0  # of joints and of the root's rotation, rad/s^2 and rad/s^3
 ROOT_ACCELERATION_SD, ROOT_JERK_SD = 10.0, 500.0  # of the root's position, m/s^2 and m/s^3
 POSTURE_DIRECTIONS = {
@@ -58,18 +47,28 @@ POSTURE_DIRECTIONS = {
 POSTURE_STARTS = 8  # random starts of the search for it; a seed makes them the same
 POSTURE_LINE_SD_RAD = 0.05
 POSTURE_RATE = 1.0  # control points per second in the search for it: so slow that changes between them cost little
-SEARCH_ITERATIONS, STANDING_ITERATIONS, LAST_ITERATIONS = 10, 18, 10
-SEARCH_DECREASE, LAST_DECREASE = 1e-2, 3e-4  # relative decreases at which searches end; 1e-3 left 4 % overlaps in a dance
-STANDING_DAMPING, LAST_DAMPING = 1e-2, 1e-4
 
 
 class SolveStage(NamedTuple):
-    """How a trajectory is minimised once, see `minimise_trajectory`."""
+    """How a trajectory is minimised once."""
 
-    frame_step: int
+    control_rate: float  # control points per second, at least
+    counts_all: bool  # whether every frame counts, or as many as there are control points
     max_iterations: int
     min_decrease: float
     damping: float
+
+
+SEARCH = SolveStage(15.0, False, 10, 1e-2, FAR_START_DAMPING)
+STANDING = (
+    (0.003, SolveStage(15.0, False, 12, 3e-4, 1e-2)),
+    (0.001, SolveStage(30.0, False, 12, 3e-4, 1e-3)),
+    (0.00007, SolveStage(30.0, True, 10, 3e-4, 1e-4)),
+)
+"""Standard deviations of the edges of standing soles, in metres, and how trajectories are minimised with them.
+
+Feet that need not stand stop where a robot with joints at limits cannot stand: so places are found again while they become exact.
+"""
 
 
 @dataclass(frozen=True)
@@ -90,10 +89,6 @@ class RobotMotion:
         return self.link_positions[:, 0]
 
     @property
-    def root_rotation(self) -> Float[np.ndarray, "T 3 3"]:
-        return self.link_rotations[:, 0]
-
-    @property
     def joint_velocities(self) -> Float[np.ndarray, "T N"]:
         """Central differences, per second; of a single frame 0."""
         return differentiate(self.joint_positions, self.rate)
@@ -109,32 +104,19 @@ def differentiate(values: Float[np.ndarray, "*shape"], rate: float) -> Float[np.
     return np.gradient(values, 1.0 / rate, axis=0) if len(values) > 1 else np.zeros_like(values)
 
 
-def retarget_to_robot(
-    body: RobotBody, source: BodyFrame, motion: SegmentMotion, contacts: BodyContacts | None, rate: float
-) -> RobotMotion:
-    """Return the motion of a robot that moves like a performer; arguments as for `compute_robot_targets`."""
-    targets = compute_robot_targets(body, source, motion, contacts, rate)
-    start = find_start(body, targets)
-    posture = start.points[0, ROOT_UNKNOWNS:]
-    step = start.basis.interval
-    search = build_control_costs(body, posture, LIMIT_SEARCH_SD_RAD, POSTURE_SEARCH_SD_RAD)
-    found = solve_windows(
-        body, targets.loosen(), search, start, [SolveStage(step, SEARCH_ITERATIONS, SEARCH_DECREASE, FAR_START_DAMPING)]
-    )
-    edges, _ = place_points(body.tree, found.references, found.unknowns, body.edge_links, body.edge_offsets)
-    standing = stand_feet(body, targets, edges)
-    costs = build_control_costs(body, posture, LIMIT_SD_RAD, POSTURE_SD_RAD)
-    stages = [
-        SolveStage(step, STANDING_ITERATIONS, LAST_DECREASE, STANDING_DAMPING),
-        SolveStage(1, LAST_ITERATIONS, LAST_DECREASE, LAST_DAMPING),
-    ]
-    found = solve_windows(body, standing, costs, found, stages)
-    points = found.points.copy()
-    points[:, ROOT_UNKNOWNS:] = np.clip(points[:, ROOT_UNKNOWNS:], *costs.limits.T)
-    return compose_robot_motion(body, rate, found.references, found.basis.evaluate(points))
+def retarget_to_robot(body: RobotBody, targets: RobotTargets) -> RobotMotion:
+    """Return the motion of a robot that does what `compute_robot_targets` returns."""
+    found = find_start(body, targets)
+    costs = build_control_costs(body, found.points[0, ROOT_UNKNOWNS:])
+    found = solve_windows(body, targets.loosen(), replace(costs, rest_sd=POSTURE_SEARCH_SD_RAD), found, SEARCH)
+    for standing_sd, stage in STANDING:
+        edges, _ = place_points(body.tree, found.references, found.unknowns, body.edge_links, body.edge_offsets)
+        found = solve_windows(body, stand_feet(body, targets, edges, standing_sd), costs, found, stage)
+    found = found.limit_speeds(costs.speed_limits)
+    return compose_robot_motion(body, targets.rate, found.references, found.unknowns)
 
 
-def build_control_costs(body: RobotBody, posture: Float[np.ndarray, " U"], limit_sd: float, posture_sd: float) -> ControlCosts:
+def build_control_costs(body: RobotBody, posture: Float[np.ndarray, " U"]) -> ControlCosts:
     """Return the costs of control points; joints that follow others narrow the limits of those."""
     tree, robot = body.tree, body.robot
     limits, speeds = np.tile([-np.inf, np.inf], (len(posture), 1)), np.full(len(posture), np.inf)
@@ -147,7 +129,7 @@ def build_control_costs(body: RobotBody, posture: Float[np.ndarray, " U"], limit
     size = ROOT_UNKNOWNS + len(posture)
     acceleration, jerk = np.full(size, ACCELERATION_SD), np.full(size, JERK_SD)
     acceleration[:3], jerk[:3] = ROOT_ACCELERATION_SD, ROOT_JERK_SD
-    return ControlCosts(limits, limit_sd, SPEED_SHARE * speeds, SPEED_SD, posture, posture_sd, acceleration, jerk)
+    return ControlCosts(limits, SPEED_SHARE * speeds, SPEED_SD, posture, POSTURE_SD_RAD, acceleration, jerk)
 
 
 def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " U"]:
@@ -164,16 +146,15 @@ def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " 
     directions[0, : len(names)] = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
     weights[0, : len(names)] = POSTURE_LINE_SD_RAD**-2
     turns = np.stack([body.turn_standing(link) for link in rotation.links])[None]
-    none = np.zeros((0, 2), int)
     terms = HingedTerms(
         frame.place._replace(weights=np.zeros(frame.place.weights.shape)),
         frame.floor._replace(weight=0.0),
         line._replace(directions=directions, weights=weights),
         rotation._replace(rotations=np.ascontiguousarray(turns)),
-        frame.collision._replace(pairs=none, box_pairs=none),
+        frame.collision._replace(weight=0.0),
     )
     standing = body.map.standing[list_leaders(body.robot)]
-    costs = build_control_costs(body, standing, LIMIT_SEARCH_SD_RAD, POSTURE_SEARCH_SD_RAD)
+    costs = replace(build_control_costs(body, standing), rest_sd=POSTURE_SEARCH_SD_RAD)
     random, basis = np.random.default_rng(0), build_spline_basis(1, POSTURE_RATE, 1)
     low, high = np.clip(costs.limits, -np.pi, np.pi).T
     best = (np.inf, standing)
@@ -190,7 +171,7 @@ def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " 
 def find_start(body: RobotBody, targets: RobotTargets) -> Trajectory:
     """Return the easy posture carried along the path, turned as the performer's pelvis."""
     count = len(targets.hips)
-    basis = build_spline_basis(count, targets.rate, max(1, round(targets.rate / CONTROL_RATE)))
+    basis = build_spline_basis(count, targets.rate, max(1, round(targets.rate / SEARCH.control_rate)))
     quaternions = make_quaternions_continuous(Rotation.from_matrix(targets.pelvis).as_quat())
     references = np.ascontiguousarray(Rotation.from_quat(basis.evaluate(basis.fit(quaternions))).as_matrix())
     points = np.zeros((basis.point_count, ROOT_UNKNOWNS + len(body.map.standing[list_leaders(body.robot)])))
@@ -200,16 +181,16 @@ def find_start(body: RobotBody, targets: RobotTargets) -> Trajectory:
 
 
 def solve_windows(
-    body: RobotBody,
-    targets: RobotTargets,
-    costs: ControlCosts,
-    start: Trajectory,
-    stages: Sequence[SolveStage],
+    body: RobotBody, targets: RobotTargets, costs: ControlCosts, start: Trajectory, stage: SolveStage
 ) -> Trajectory:
-    """Return the trajectory of least cost after several stages, solved in windows that overlap.
+    """Return the trajectory of least cost, solved in windows that overlap.
 
     In an overlap the control points of one window lead over into those of the next.
     """
+    interval = max(1, round(targets.rate / stage.control_rate))
+    if interval != start.basis.interval:
+        basis = build_spline_basis(len(start.references), targets.rate, interval)
+        start = Trajectory(basis, start.references, basis.fit(start.unknowns))
     basis, points = start.basis, start.points.copy()
     length, overlap = (round(seconds / basis.interval_s) for seconds in (WINDOW_S, OVERLAP_S))
     first, count = 0, len(points)
@@ -218,8 +199,11 @@ def solve_windows(
         window = start.select_points(first, stop)
         frame = first * basis.interval
         terms = targets.select_frames(slice(frame, frame + len(window.references)))
-        for stage in stages:
-            window, _ = minimise_trajectory(body.tree, terms, costs, window, **stage._asdict())
+        window, _ = minimise_trajectory(
+            body.tree, terms, costs, window,
+            frame_step=1 if stage.counts_all else interval,
+            max_iterations=stage.max_iterations, min_decrease=stage.min_decrease, damping=stage.damping,
+        )  # fmt: skip
         share = np.clip((np.arange(stop - first) + 1.0) / (overlap + 1.0), 0.0, 1.0)[:, None] if first else 1.0
         points[first:stop] = (1.0 - share) * points[first:stop] + share * window.points
         if stop == count:

@@ -77,7 +77,6 @@ class RobotMap:
 
     Attributes:
         limbs: Segment (of LIMBS) to the points from which and to which it runs.
-        hips: Side to the point about which the leg turns.
         feet: Side to the link of the foot.
         soles: Side to the corners of the sole, in the order of SOLE_CORNERS, in the axes of the foot's link, metres.
         pelvis, trunk, head: Links; the same link where no joint is between. `trunk` carries the arms.
@@ -88,7 +87,6 @@ class RobotMap:
     """
 
     limbs: Mapping[str, tuple[LinkPoint, LinkPoint]]
-    hips: Mapping[str, LinkPoint]
     feet: Mapping[str, int]
     soles: Mapping[str, Float[np.ndarray, "4 3"]]
     pelvis: int

@@ -85,11 +85,10 @@ class RobotFiles:
         source = build_body_frame(build_cmu31_character(skeleton))
         segments = compute_segment_motion(source, convert_motion(motion, rate))
         feet = None if contacts is None else resample_foot_contacts(contacts, motion.frame_count, rate)
-        moved = retarget_to_robot(self.body, source, segments, feet, rate)
-        moved = moved.select_frames(frames)
+        targets = compute_robot_targets(self.body, source, segments, feet, rate)
+        moved = retarget_to_robot(self.body, targets).select_frames(frames)
         if not len(moved.root_position):
             raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
-        targets = compute_robot_targets(self.body, source, segments, feet, rate)
         figures = measure_robot_motion(self.body, replace(targets, terms=targets.select_frames(frames)), moved)
         arrays = build_robot_arrays(moved)
         if feet is not None:
@@ -207,7 +206,7 @@ def _compute_angular_velocities(rotations: Float[np.ndarray, "T L 3 3"], rate: f
 
 def write_robot_csv(target: Path, motion: RobotMotion) -> None:
     """Write the layout of Unitree: no header, x y z, quaternion x y z w, joints. Names and rate are in a JSON beside it."""
-    quaternions = _compute_quaternions(motion.root_rotation[:, None])[:, 0, [1, 2, 3, 0]]
+    quaternions = _compute_quaternions(motion.link_rotations[:, :1])[:, 0, [1, 2, 3, 0]]
     with replace_atomically(target) as part:
         np.savetxt(part, np.hstack([motion.root_position, quaternions, motion.joint_positions]), "%.6f", ",")
     columns = [*(f"root_{axis}" for axis in "xyz"), *(f"root_q{axis}" for axis in "xyzw"), *motion.robot.joint_names]
@@ -220,7 +219,7 @@ def write_robot_pickle(target: Path, motion: RobotMotion) -> None:
     content = {
         "fps": motion.rate,
         "root_pos": motion.root_position,
-        "root_rot": _compute_quaternions(motion.root_rotation[:, None])[:, 0, [1, 2, 3, 0]],
+        "root_rot": _compute_quaternions(motion.link_rotations[:, :1])[:, 0, [1, 2, 3, 0]],
         "dof_pos": motion.joint_positions,
         "local_body_pos": None,
         "link_body_list": list(motion.robot.link_names),

@@ -121,9 +121,8 @@ def find_robot_map(robot: Robot) -> RobotMap:
     pelvis, trunk = (_find_base_link(body, limbs[f"{SIDES[0]}_{limb}"][0]) for limb in ("leg", "arm"))
     heads = [link for link in robot.joint_links[neck_joints].tolist() if trunk in _list_above(robot, link)]
     head = max(heads, key=lambda link: (round(float(body.positions[link][2]), 3), link), default=trunk)
-    hips = {side: points[f"{side}_thigh"][0] for side in SIDES}
     reason = "Found by the structure of the robot."
-    found = RobotMap(points, hips, feet, soles, pelvis, trunk, head, hands, body.standing, reason)
+    found = RobotMap(points, feet, soles, pelvis, trunk, head, hands, body.standing, reason)
     _check_map(body, found, robot.name)
     return found
 
@@ -330,7 +329,6 @@ class RobotMapFile(StrictModel):
     head: str
     hands: dict[Side, str] = Field(default_factory=dict)
     limbs: dict[str, Annotated[list[PointFile], Field(min_length=2, max_length=2)]]
-    hips: dict[Side, PointFile]
     feet: dict[Side, FootFile]
     standing: dict[str, float] = Field(default_factory=dict)  # joint positions that are not zero
 
@@ -349,14 +347,13 @@ def read_robot_map(path: Path, robot: Robot) -> RobotMap:
 
     if wrong := sorted({*LIMBS} ^ {*content.limbs}):
         raise SceneError(f"{path.name}: limbs must be {', '.join(LIMBS)}; {wrong[0]} is missing or none of them.")
-    if missing := [side for side in SIDES if side not in content.hips or side not in content.feet]:
-        raise SceneError(f"{path.name}: hips and feet must have {missing[0]}.")
+    if missing := [side for side in SIDES if side not in content.feet]:
+        raise SceneError(f"{path.name}: feet must have {missing[0]}.")
     if unknown := [name for name in content.standing if name not in robot.joint_names]:
         raise SceneError(f"{path.name}: standing: {robot.name} has no joint {unknown[0]}.")
     body = stand_robot(robot, content.standing)
     found = RobotMap(
         {name: (convert(content.limbs[name][0]), convert(content.limbs[name][1])) for name in LIMBS},
-        {side: convert(content.hips[side]) for side in SIDES},
         {side: find(content.feet[side].link) for side in SIDES},
         {side: np.array(content.feet[side].sole) for side in SIDES},
         find(content.pelvis),
@@ -382,7 +379,6 @@ def write_robot_map(target: Path, robot: Robot, robot_map: RobotMap) -> None:
         "head": robot.link_names[robot_map.head],
         "hands": {side: robot.link_names[link] for side, link in robot_map.hands.items()},
         "limbs": {name: [convert(point) for point in ends] for name, ends in robot_map.limbs.items()},
-        "hips": {side: convert(point) for side, point in robot_map.hips.items()},
         "feet": {
             side: {"link": robot.link_names[link], "sole": np.round(robot_map.soles[side], 5).tolist()}
             for side, link in robot_map.feet.items()

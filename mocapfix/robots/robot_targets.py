@@ -33,10 +33,9 @@ ROTATION_SD_RAD = {"pelvis": 0.05, "trunk": 0.1, "head": 0.1, "foot": 0.12}
 PATH_SD_M = (0.05, 0.05, 0.03)  # of the middle of the hips about its scaled path
 DEFAULT_SPEED_LIMIT = 12.0  # radians or metres per second, of joints whose file states none
 FLOOR_SD_M = 0.001  # of a sole below the floor
-STANDING_SD_M = 0.0003  # of heel and front edge of a sole in contact
 CORNER_SD_M = 0.0015
 """Of the height of the corners of a sole in contact: a foot that cannot roll keeps its edges and tilts."""
-COLLISION_DISTANCE_M, COLLISION_SD_M = 0.006, 0.0015  # distance that primitives keep, and the standard deviation of a smaller one
+COLLISION_DISTANCE_M, COLLISION_SD_M = 0.008, 0.001  # distance that primitives keep, and the standard deviation of a smaller one
 FLOOR_SEARCH_SD_M, COLLISION_SEARCH_SD_M = 0.01, 0.02
 """The same while poses are still far. Without collisions in the search, hands end inside thighs in 2 % of an acrobat's frames."""
 
@@ -86,10 +85,6 @@ class Sole:
     def edges(self) -> Float[np.ndarray, "2 3"]:
         """Heel and front."""
         return self.corners.reshape(2, 2, 3).mean(axis=1)
-
-    @property
-    def length_m(self) -> float:
-        return float(np.linalg.norm(np.diff(self.edges, axis=0)))
 
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
@@ -155,7 +150,7 @@ class RobotBody:
     @property
     def hip_centre(self) -> Float[np.ndarray, " 3"]:
         """The middle of the hips in the upright stance, relative to the root, in its axes, in metres."""
-        return np.mean([self.measure_standing(hip) for hip in self.map.hips.values()], axis=0)
+        return np.mean([self.measure_standing(self.map.limbs[f"{side}_thigh"][0]) for side in SIDES], axis=0)
 
     @property
     def ankle_height_m(self) -> float:
@@ -184,16 +179,10 @@ class RobotTargets:
     heights: Float[np.ndarray, "T 2"]  # of the level under each foot, scaled, metres
 
     def loosen(self) -> "RobotTargets":
-        """Return the targets of a search: feet stand nowhere, soles may sink and parts may meet a little."""
-        place, floor, collision = self.terms.place, self.terms.floor, self.terms.collision
-        weights = place.weights.copy()
-        weights[:, 1:] = 0.0
-        terms = self.terms._replace(
-            place=place._replace(weights=weights),
-            floor=floor._replace(weight=FLOOR_SEARCH_SD_M**-2),
-            collision=collision._replace(weight=COLLISION_SEARCH_SD_M**-2),
-        )
-        return replace(self, terms=terms)
+        """Return the targets of a search: soles may sink and parts may meet a little."""
+        floor = self.terms.floor._replace(weight=FLOOR_SEARCH_SD_M**-2)
+        collision = self.terms.collision._replace(weight=COLLISION_SEARCH_SD_M**-2)
+        return replace(self, terms=self.terms._replace(floor=floor, collision=collision))
 
     def isolate_collisions(self) -> HingedTerms:
         """Return terms whose cost is half the sum of the squared depths of parts that overlap, in square metres."""
@@ -321,7 +310,7 @@ def _build_collision_term(robot: Robot) -> CollisionTerm:
     )  # fmt: skip
 
 
-def stand_feet(body: RobotBody, targets: RobotTargets, edges: Float[np.ndarray, "T 4 3"]) -> RobotTargets:
+def stand_feet(body: RobotBody, targets: RobotTargets, edges: Float[np.ndarray, "T 4 3"], standing_sd_m: float) -> RobotTargets:
     """Return the targets with places for the soles in contact.
 
     Heel and front of a foot that are in contact together are a sole's length apart. So a foot that rolls from the heel to the
@@ -330,12 +319,16 @@ def stand_feet(body: RobotBody, targets: RobotTargets, edges: Float[np.ndarray, 
     Args:
         body: The robot.
         targets: Its targets; the place term has the edges of the soles after the hips, then the corners.
-        edges: Where the edges are in a motion without places to stand, as `RobotBody.edge_links`, in metres.
+        edges: Where the edges are in a motion near to the one wanted, as `RobotBody.edge_links`, in metres.
+        standing_sd_m: Of the edges of a sole in contact.
     """
     term = targets.terms.place
     places, weights = term.places.copy(), term.weights.copy()
     for k, side in enumerate(SIDES):
-        length, found = body.soles[side].length_m, dict[tuple[int, int, int], Float[np.ndarray, " 2"]]()
+        length, found = (
+            np.linalg.norm(np.diff(body.soles[side].edges, axis=0)),
+            dict[tuple[int, int, int], Float[np.ndarray, " 2"]](),
+        )
         runs = sorted((first, last, end) for end in (0, 1) for first, last in targets.contacts[side, end])
         for first, last, end in runs:
             together = [(min(last, other[1]) - max(first, other[0]), other) for other in found if other[2] != end]
@@ -349,7 +342,7 @@ def stand_feet(body: RobotBody, targets: RobotTargets, edges: Float[np.ndarray, 
             found[first, last, end] = place
             run, height = slice(first, last + 1), float(np.median(targets.heights[first : last + 1, k]))
             places[run, 1 + 2 * k + end] = [*place, height]
-            weights[run, 1 + 2 * k + end] = STANDING_SD_M**-2
+            weights[run, 1 + 2 * k + end] = standing_sd_m**-2
             corners = 5 + 4 * k + 2 * end + np.arange(2)
             places[run, corners, 2], weights[run, corners, 2] = height, CORNER_SD_M**-2
     return replace(targets, terms=targets.terms._replace(place=term._replace(places=places, weights=weights)))

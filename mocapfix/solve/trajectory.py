@@ -2,7 +2,8 @@
 
 The unknowns of a frame (`kernels.hinged_tree`) are a uniform cubic B-spline over time, whose control points are a few frames
 apart. A frame depends on four of them, so that the curvature is a band, and a step takes time in proportion to the frames. Limits
-of positions and speeds are costs of control points and their differences: a spline exceeds a limit by no more than those do.
+of positions bound the control points, those of speeds are costs of their differences: a spline exceeds a limit by no more than
+those do.
 
 The whole take decides every frame, the first one too. The cost may count every n-th frame only while the poses are still far.
 """
@@ -29,6 +30,7 @@ from mocapfix.kernels.hinged_tree import PlaceTerm as PlaceTerm
 
 FAR_START_DAMPING = 0.1  # of the diagonal of the curvature, for a far start
 MIN_CURVATURE = 1e-6  # of a control point that nothing determines
+HELD_STIFFNESS = 1e6  # over the curvature, of coordinates that are held at limits
 SECOND_DIFFERENCE, THIRD_DIFFERENCE = (1.0, -2.0, 1.0), (-1.0, 3.0, -3.0, 1.0)
 
 
@@ -79,7 +81,7 @@ class ControlCosts:
     """What a control point costs for each frame that it stands for, over D unknowns, of which U are joint positions.
 
     Attributes:
-        limits: Of joint positions, (U, 2), and the standard deviation of an excess.
+        limits: Of joint positions, (U, 2), never exceeded.
         speed_limits: Of joint positions per second, (U,), and the standard deviation of an excess.
         rest: Joint positions to which nothing else pulls, (U,), and the standard deviation from them.
         acceleration_sd: Of the unknowns, per square second, (D,).
@@ -87,7 +89,6 @@ class ControlCosts:
     """
 
     limits: Float[np.ndarray, "U 2"]
-    limit_sd: float
     speed_limits: Float[np.ndarray, " U"]
     speed_sd: float
     rest: Float[np.ndarray, " U"]
@@ -107,14 +108,10 @@ class ControlCosts:
         curvature = band.reshape(count, size, band.shape[1])
         own = slice(ROOT_UNKNOWNS, None)
         joints, weight = points[:, own], float(basis.interval)
-        excess = joints - np.clip(joints, *self.limits.T)
-        for error, is_active, sd in (
-            (excess, excess != 0, self.limit_sd),
-            (joints - self.rest, True, self.rest_sd),
-        ):
-            cost += 0.5 * weight * float((error**2).sum()) / sd**2
-            gradient[:, own] += weight * error / sd**2
-            curvature[:, own, 0] += weight / sd**2 * is_active
+        error, stiffness = joints - self.rest, weight / self.rest_sd**2
+        cost += 0.5 * stiffness * float((error**2).sum())
+        gradient[:, own] += stiffness * error
+        curvature[:, own, 0] += stiffness
         speed = np.diff(joints, axis=0) / basis.interval_s
         excess = speed - np.clip(speed, -self.speed_limits, self.speed_limits)
         slope = weight / (self.speed_sd**2 * basis.interval_s)
@@ -150,6 +147,21 @@ class Trajectory:
     def unknowns(self) -> Float[np.ndarray, "T D"]:
         """The unknowns of the frames."""
         return self.basis.evaluate(self.points)
+
+    def limit_speeds(self, speeds: Float[np.ndarray, " U"]) -> "Trajectory":
+        """Return the trajectory with joints that are nowhere faster than their speeds, and unchanged where they are not.
+
+        Control points are the middle of the largest slow enough series below and the smallest above them.
+        """
+        joints = self.points[:, ROOT_UNKNOWNS:]
+        ramp = np.arange(len(joints))[:, None] * speeds * self.basis.interval_s
+
+        def find_below(values: Float[np.ndarray, "K U"]) -> Float[np.ndarray, "K U"]:
+            forward = np.minimum.accumulate(values - ramp) + ramp
+            return np.minimum(forward, np.minimum.accumulate((values + ramp)[::-1])[::-1] - ramp)
+
+        slow = 0.5 * (find_below(joints) - find_below(-joints))
+        return replace(self, points=np.hstack([self.points[:, :ROOT_UNKNOWNS], slow]))
 
     def select_points(self, first: int, stop: int) -> "Trajectory":
         """Return the part of the trajectory between the control points `first` and `stop` - 3."""
@@ -198,7 +210,9 @@ def minimise_trajectory(
 ) -> tuple[Trajectory, float]:
     """Return the trajectory of least cost, and this cost.
 
-    Damping and acceptance are those of `kernels.levenberg_marquardt`, with the diagonal of the curvature (Marquardt 1963).
+    Damping and acceptance are those of `kernels.levenberg_marquardt`, with the diagonal of the curvature (Marquardt 1963). Steps
+    are projected (Bertsekas 1982): coordinates that the gradient pushes beyond their limits are held there, and in a second solve
+    those that the step takes beyond them.
 
     Args:
         tree: The links and joints.
@@ -221,14 +235,25 @@ def minimise_trajectory(
         add_models_to_spline(frames, basis.segments, basis.weights, curvatures, gradients, float(frame_step), band, gradient)
         return frame_step * cost + costs.add(basis, points, band, gradient.reshape(count, size)), gradient, band
 
-    points, growth = start.points, 2.0
+    low, high = np.vstack([np.tile([-np.inf, np.inf], (ROOT_UNKNOWNS, 1)), costs.limits]).T
+    points, growth = np.clip(start.points, low, high), 2.0
     cost, gradient, band = linearise(points)
     for _ in range(max_iterations):
-        damped, diagonal = band.copy(), band[:, 0].copy()
-        damped[:, 0] += damping * diagonal + MIN_CURVATURE
-        step = solveh_banded(damped.T, -gradient, overwrite_ab=True, lower=True, check_finite=False)
-        predicted = 0.5 * float(step @ (damping * diagonal * step - gradient))
-        trial = points + step.reshape(count, size)
+        slope, diagonal = gradient.reshape(count, size), band[:, 0].copy()
+        is_held = (((points <= low) & (slope > 0.0)) | ((points >= high) & (slope < 0.0))).ravel()
+        wanted, is_first = np.zeros(count * size), True
+        while True:
+            damped, stiffness = band.copy(), HELD_STIFFNESS * diagonal * is_held
+            damped[:, 0] += damping * diagonal + MIN_CURVATURE + stiffness
+            pull = stiffness * wanted - gradient
+            step = solveh_banded(damped.T, pull, overwrite_ab=True, lower=True, check_finite=False)
+            moved = points + step.reshape(count, size)
+            trial = np.clip(moved, low, high)
+            is_outside = (trial != moved).ravel() & ~is_held
+            if not is_first or not is_outside.any():
+                break
+            is_held, wanted, is_first = is_held | is_outside, (trial - points).ravel(), False
+        predicted = 0.5 * float(step @ (damping * diagonal * step + stiffness * step - pull)) - float(gradient @ step)
         trial_model = linearise(trial)
         decrease = cost - trial_model[0]
         if decrease > 0.0:

@@ -17,7 +17,7 @@ from mocapfix.robots.retarget_robot import RobotMotion, retarget_to_robot
 from mocapfix.robots.robot import SIDES
 from mocapfix.robots.robot_files import measure_robot_motion
 from mocapfix.robots.robot_map import find_robot_map
-from mocapfix.robots.robot_targets import RobotBody, build_robot_body, compute_robot_targets
+from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets
 from mocapfix.stats.sequences import find_runs
 from tests.characters.walking_body import RATE, build_contacts, load_walk
 from tests.robots.humanoid import build_mjcf, build_urdf, list_parts
@@ -46,19 +46,19 @@ def body(tmp_path_factory) -> RobotBody:
     return build_robot_body(robot, find_robot_map(robot))
 
 
-def build_arguments(body, contacts, first=0):
-    """Return the arguments of a retargeting of the walk from a frame on."""
+def build_targets(body, contacts, first=0) -> RobotTargets:
+    """Return the targets of the walk from a frame on."""
     character, motion = load_walk()
     part = CharacterMotion(motion.pelvis_position[first:], motion.local_rotations[first:], RATE)
     source = build_body_frame(character)
     arrays = {name: getattr(contacts, name)[first:] for name in ("is_contact", "probability", "is_known")}
     feet = replace(contacts, **arrays)
-    return body, source, compute_segment_motion(source, part), feet, RATE
+    return compute_robot_targets(body, source, compute_segment_motion(source, part), feet, RATE)
 
 
 @pytest.fixture(scope="module")
 def moved(body, contacts) -> RobotMotion:
-    return retarget_to_robot(*build_arguments(body, contacts))
+    return retarget_to_robot(body, build_targets(body, contacts))
 
 
 def place_corners(body, motion, side) -> np.ndarray:
@@ -69,7 +69,7 @@ def place_corners(body, motion, side) -> np.ndarray:
 
 
 def test_limbs_point_as_the_performers(body, contacts, moved):
-    figures = measure_robot_motion(body, compute_robot_targets(*build_arguments(body, contacts)), moved)
+    figures = measure_robot_motion(body, build_targets(body, contacts), moved)
     assert figures.limb_deg[0] < 2.0
     assert figures.overlap_m < 0.002
     assert figures.speed_ratio < 1.0
@@ -107,20 +107,20 @@ def test_positions_and_speeds_are_within_their_limits(body, moved):
 
 
 def test_narrow_limits_are_kept(body, contacts):
-    """Knees that hardly bend, and arms that turn slowly: a speed is exceeded a little rather than a direction lost."""
+    """Knees that hardly bend, and arms that turn slowly."""
     limits, speeds = body.robot.limits.copy(), body.robot.speed_limits.copy()
     for side in SIDES:
         limits[body.robot.joint_names.index(f"{side}_shin_joint")] = 0.1, 0.5
-    speeds[[("arm" in name) for name in body.robot.joint_names]] = 1.0
+    speeds[[("arm" in name) for name in body.robot.joint_names]] = 0.5
     narrow = replace(body, robot=replace(body.robot, limits=limits, speed_limits=speeds))
-    found = retarget_to_robot(*build_arguments(narrow, contacts))
+    found = retarget_to_robot(narrow, build_targets(narrow, contacts))
     assert (found.joint_positions >= limits[:, 0] - 1e-9).all()
     assert (found.joint_positions <= limits[:, 1] + 1e-9).all()
-    assert ((np.abs(np.diff(found.joint_positions, axis=0)) * RATE).max(axis=0) - speeds).max() < 0.2
+    assert (np.abs(np.diff(found.joint_positions, axis=0)) * RATE <= speeds + 1e-9).all()
 
 
 def test_motion_does_not_depend_on_how_a_take_begins(body, contacts, moved):
-    later = retarget_to_robot(*build_arguments(body, contacts, CUT))
+    later = retarget_to_robot(body, build_targets(body, contacts, CUT))
     margin = CUT // 2
     difference = later.joint_positions[margin:] - moved.joint_positions[CUT + margin :]
     assert np.degrees(np.abs(difference)).max() < 1.0
@@ -128,6 +128,6 @@ def test_motion_does_not_depend_on_how_a_take_begins(body, contacts, moved):
 
 def test_windows_give_the_motion_that_is_solved_at_once(body, contacts, moved, monkeypatch):
     monkeypatch.setattr(retarget_robot, "WINDOW_S", 2.0)
-    parts = retarget_to_robot(*build_arguments(body, contacts))
+    parts = retarget_to_robot(body, build_targets(body, contacts))
     assert np.linalg.norm(parts.root_position - moved.root_position, axis=1).max() < 1e-3
     assert np.degrees(np.abs(parts.joint_positions - moved.joint_positions)).max() < 0.5

@@ -19,9 +19,7 @@ from mocapfix.solve.trajectory import (
 )
 
 RATE, FRAMES, REACH = 60.0, 90, 0.5
-FREE = ControlCosts(
-    np.array([[-np.inf, np.inf]]), 0.004, np.array([np.inf]), 0.01, np.zeros(1), 100.0, np.full(7, 1e3), np.full(7, 1e5)
-)
+FREE = ControlCosts(np.array([[-np.inf, np.inf]]), np.array([np.inf]), 0.01, np.zeros(1), 100.0, np.full(7, 1e3), np.full(7, 1e5))
 """Costs that hardly pull."""
 
 
@@ -99,7 +97,7 @@ def test_derivatives_of_control_costs_are_those_of_the_cost():
     rng, basis = np.random.default_rng(2), build_spline_basis(20, 50.0, 2)
     size, count = ROOT_UNKNOWNS + 2, basis.point_count
     costs = ControlCosts(
-        np.array([[-0.5, 0.4], [-np.inf, 0.1]]), 0.1, np.array([3.0, np.inf]), 0.5, np.array([0.2, -0.1]), 2.0,
+        np.array([[-0.5, 0.4], [-np.inf, 0.1]]), np.array([3.0, np.inf]), 0.5, np.array([0.2, -0.1]), 2.0,
         rng.uniform(5, 20, size), rng.uniform(50, 200, size),
     )  # fmt: skip
     points = rng.normal(size=(count, size))
@@ -153,7 +151,7 @@ def test_limits_of_positions_hold(tree):
     angles = np.linspace(0.0, 2.0, FRAMES)
     terms = weaken_arm(build_terms(angles, np.zeros((FRAMES, 3))))
     found = solve(tree, terms, replace(FREE, limits=np.array([[-1.0, 1.0]])))[0].unknowns[:, ROOT_UNKNOWNS]
-    assert found.max() < 1.005
+    assert found.max() <= 1.0
     assert np.abs(found - np.minimum(angles, 1.0)).max() < 0.15
 
 
@@ -167,6 +165,10 @@ def test_limits_of_speeds_hold(tree):
     speeds = [np.abs(np.diff(each.unknowns[:, ROOT_UNKNOWNS])).max() * RATE for each in (free, bound)]
     assert speeds[0] > 5.5
     assert speeds[1] < 4.2
+    slow = bound.limit_speeds(np.array([4.0])).unknowns[:, ROOT_UNKNOWNS]
+    assert np.abs(np.diff(slow)).max() * RATE <= 4.0 + 1e-9
+    assert np.abs(slow - bound.unknowns[:, ROOT_UNKNOWNS]).max() < 0.02
+    np.testing.assert_allclose(bound.limit_speeds(np.array([4.5])).points, bound.points, atol=1e-12)
     assert np.abs(bound.unknowns[:, ROOT_UNKNOWNS] - angles).max() < 0.4
 
 
