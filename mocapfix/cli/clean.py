@@ -116,7 +116,8 @@ def clean_takes(
                         notes = [note for note in reports[-1]["notes"] if note not in problems]
                         print_summary({**reports[-1], "notes": notes}, outputs, options.subject.subject_prefix)
                     for problem in problems:
-                        attempts.add_failure(take, problem)
+                        console.print_error(problem)
+                        attempts.failed.append(take)
     if clips and clip_paths:
         with attempts.attempt(clips):
             from mocapfix.characters.character_files import write_clips

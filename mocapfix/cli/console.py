@@ -134,11 +134,6 @@ class TakeAttempts:
             print_failure(error, str(take))
             self.failed.append(take)
 
-    def add_failure(self, take: Path, message: str) -> None:
-        """Print what is missing of a take, and add it to the failed ones."""
-        print_error(message)
-        self.failed.append(take)
-
 
 def replace_unknown_characters() -> None:
     """Let characters that the encoding of the terminal lacks be printed as "?" (cp1252, ASCII)."""

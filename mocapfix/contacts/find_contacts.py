@@ -96,7 +96,7 @@ def compute_standing_logit(
 def decode_contacts(logit: Float[np.ndarray, "T C"], rate: float) -> tuple[Bool[np.ndarray, "T C"], Float[np.ndarray, "T C"]]:
     """Return the contacts of joints and their probability, which is at most 0.5 where a joint is not in contact for long."""
     is_contact = np.stack([remove_short_runs(each > MIN_CONTACT_LOGIT, rate) for each in logit.T], axis=1)
-    probability = scipy.special.expit(logit)
+    probability = 0.5 + 0.5 * np.tanh(0.5 * logit)  # `scipy.special.expit`, which is slow to import
     return is_contact, np.where(is_contact, probability, np.minimum(probability, 0.5))
 
 
@@ -139,7 +139,7 @@ def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarra
     stands, is_known, logit = find_shown_standing(position, sd, rate)
     if stands.any() and not is_known.all():
         features, network = compute_contact_features(position, sd, stands & is_known, rate), load_contact_network()
-        hidden = scipy.ndimage.uniform_filter1d(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES, axis=0)
+        hidden = average_around(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES)
         frames, at = np.arange(len(position)) / rate, np.arange(len(hidden)) / FEATURE_RATE_HZ
         logit = np.where(is_known, logit, _resample(hidden, at, frames))
         stands = np.where(is_known, stands, logit > MIN_CONTACT_LOGIT)
@@ -173,6 +173,12 @@ SLOW_SPEED_M_S, MIN_FEATURE_SPEED_M_S, MIN_FEATURE_SD_M = 0.1, 0.005, 0.001
 FEATURE_COUNT = 70  # of a foot
 
 
+def average_around(signal: Float[np.ndarray, "N C"], count: int) -> Float[np.ndarray, "N C"]:
+    """Return the means of an odd number of values around each; beyond its ends a signal stays as it is there."""
+    padded = np.pad(signal, ((count // 2, count // 2), (0, 0)), mode="edge")
+    return np.lib.stride_tricks.sliding_window_view(padded, count, axis=0).mean(-1)
+
+
 @cache
 def load_contact_network() -> Perceptron:
     """Return the network that ships as priors/contacts.safetensors: logits of the contacts of an ankle and its toes."""
@@ -201,7 +207,7 @@ def compute_contact_features(
     log_sd = np.log(np.maximum(_resample(sd, frames, at), MIN_FEATURE_SD_M))
     rise = np.arcsinh(_resample(np.gradient(position[..., 1], 1 / rate, axis=0), frames, at) / SLOW_SPEED_M_S)
     averaged = ((speed, MEAN_FRAMES[0]), (speed, MEAN_FRAMES[1]), ((speed < 0) * 1.0, MEAN_FRAMES[0]))
-    means = [scipy.ndimage.uniform_filter1d(each, count, axis=0, mode="nearest") for each, count in averaged]
+    means = [average_around(each, count) for each, count in averaged]
 
     def select(signal: Float[np.ndarray, "N C"], around: Int[np.ndarray, " K"]) -> Float[np.ndarray, "N C K"]:
         frame = np.clip(np.arange(len(at))[:, None] + around, 0, len(at) - 1)  # beyond its ends a signal stays as it is there

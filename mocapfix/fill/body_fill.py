@@ -92,7 +92,8 @@ class BodyPlacement:
         known_count, squares = (~np.isnan(error)).sum((0, 2)), np.nansum(error**2, axis=(0, 2))
         shown = np.maximum(squares / np.maximum(known_count, 1), MIN_BODY_FILL_SD_M**2)
         added = np.maximum(gap_variance[w.points] - hidden_variance, 0.0)
-        error = axes.rotate_to_world(error, w.hidden_frames) * (BODY_ERROR_RATIO * np.sqrt(1 + added / shown))[:, None]
+        error = np.einsum("...ab,...b->...a", axes.rotation_world_axes[w.hidden_frames], error)
+        error *= (BODY_ERROR_RATIO * np.sqrt(1 + added / shown))[:, None]
         expected_sd = BODY_ERROR_RATIO * np.sqrt(np.maximum(gap_variance[w.points], MIN_BODY_FILL_SD_M**2))
         evidence = float((shown / (shown + added)).mean())
         return [GapEstimate(FillMethod.BODY, position, error, expected_sd, evidence=evidence)]

@@ -156,12 +156,6 @@ class MovingAxes(NamedTuple):
         """Return positions in some frames in the world."""
         return np.einsum("tab,tb->ta", self.rotation_world_axes[frames], local) + self.origin[frames]
 
-    def rotate_to_world(
-        self, difference: Float[np.ndarray, "*frames 3"], frames: Int[np.ndarray, "*frames"]
-    ) -> Float[np.ndarray, "*frames 3"]:
-        """Return differences of positions in some frames in the world."""
-        return np.einsum("...ab,...b->...a", self.rotation_world_axes[frames], difference)
-
 
 class GapEstimate(NamedTuple):
     """One estimate of a marker in one gap of n frames.

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TypedDict, cast
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -68,34 +68,10 @@ class Change:
     decision: Decision = "accept"
 
 
-class SampleStateEntry(TypedDict):
-    """Missing samples of an interval, and the median distance of the others from the body (None if unknown)."""
-
-    missing: int
-    off_body_mm: float | None
-
-
-class ChangeEntry(TypedDict):
-    """A `Change` in the changes file and the JSON report."""
-
-    id: str
-    kind: str
-    markers: list[str]
-    first: int
-    last: int
-    samples: int
-    why: str
-    method: str
-    before: SampleStateEntry
-    after: SampleStateEntry
-    predicted_mm: float | None
-    decision: Decision
-
-
-def serialize_changes(changes: Iterable[Change]) -> list[ChangeEntry]:
+def serialize_changes(changes: Iterable[Change]) -> list[dict[str, Any]]:
     """Return the changes as plain data, as in the changes file and the JSON report."""
     parts = ((vars(each), [*each.markers], {**vars(each.before)}, {**vars(each.after)}) for each in changes)
-    return [cast("ChangeEntry", {**own, "markers": markers, "before": a, "after": b}) for own, markers, a, b in parts]
+    return [{**own, "markers": markers, "before": before, "after": after} for own, markers, before, after in parts]
 
 
 def list_affected_markers(fault: Fault, marker_count: int) -> list[int]:

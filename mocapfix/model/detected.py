@@ -192,7 +192,3 @@ class Detected:
         positions = np.take(body.marker_positions, place, axis=1)
         positions[:, place < 0] = np.nan
         return self.epochs.merge_columns(positions)
-
-    def measure_residuals(self, body: BodyFit) -> Float[np.ndarray, "T M"]:
-        """Return the distance of each inlier from its place on a body in metres, NaN for other samples."""
-        return np.where(self.inlier_mask, np.linalg.norm(self.take.markers - self.place_on_body(body), axis=-1), np.nan)

@@ -74,12 +74,13 @@ def build_solved_body(detected: Detected, standing: StandingBody, hands: tuple[H
     by_side = {hand.hand.model.side: hand for hand in hands}
     carried, seen = columns[columns >= 0], np.any(epochs.split_mask(detected.inlier_mask), axis=0)
     joints = body.extended_subject.joints[columns >= 0][seen[carried]]
+    residual_m = np.linalg.norm(detected.take.markers - detected.place_on_body(body), axis=-1)
     return SolvedBody(
         subject=body.subject,
         motion=body.motion,
         joint_positions=body.solved_joint_positions,
         contacts=standing.contacts,
-        residual_m=detected.measure_residuals(body),
+        residual_m=np.where(detected.inlier_mask, residual_m, np.nan),
         lost_parts=find_lost_body_parts(detected, body) if body.evidence else (),  # a preview loses too many
         is_observed=np.isin(np.arange(len(body.subject.skeleton.names)), joints),
         carried_markers=tuple(epochs.column_marker[carried].tolist()),

@@ -3,7 +3,6 @@
 from typing import Any, NotRequired, TypedDict
 
 from mocapfix.labels.label_summary import LabellingSection
-from mocapfix.model.changes import ChangeEntry
 from mocapfix.model.faults import FaultKind
 from mocapfix.model.stage_timer import PartTime
 from mocapfix.model.take import ComputedEvidence
@@ -230,7 +229,7 @@ class Report(TypedDict):
 
     take: TakeSection
     faults: list[FaultEntry]
-    changes: list[ChangeEntry]
+    changes: list[dict[str, Any]]  # as in the changes file
     subject: SubjectSection | None  # None without a body
     solve: SolveSection | None  # None without a body
     fill: FillSection

@@ -24,7 +24,7 @@ from mocapfix.options import DEFAULT_INIT_METHOD
 from mocapfix.solve import kinematics, mean_pose
 from mocapfix.solve.hybrik import MIN_JOINT_DISTANCE_M, MIN_JOINT_SD_M, HybrikVariant, solve_hybrik
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.solve.learned_ik import PoseRegressor, load_shipped_ik_network
+from mocapfix.solve.learned_ik import PoseRegressor, load_shipped_ik_network, smooth_positions
 from mocapfix.solve.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_problem import POSE_RATE_HZ, FrameChanges, change_all_frames, find_changed_frames, list_posed_frames
@@ -283,7 +283,8 @@ def infer_unseen_joints(motion: Motion, estimate: JointEstimate, subject: Subjec
     start = motion.root_position, motion.local_rotations
     is_seen = find_seen_segments(estimate, subject)
     is_given = is_seen | is_seen[:, np.maximum(subject.skeleton.parents, 0)]  # at an end of a segment with markers
-    root, local = model.refine_take(start, np.where(is_given[..., None], estimate.positions, np.nan), joint_sd, rate_hz)
+    given = np.where(is_given[..., None], estimate.positions, np.nan)
+    root, local = model.refine_poses(start, *smooth_positions(given, joint_sd, rate_hz))
     seen_world = compute_world_poses(subject.skeleton, motion)[1]
     learned = Motion(root, local, motion.status, motion.iterations, motion.marker_sd, motion.joint_sd)
     world = np.where(is_seen[..., None, None], seen_world, compute_world_poses(subject.skeleton, learned)[1])

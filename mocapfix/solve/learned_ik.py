@@ -214,9 +214,3 @@ class PoseRegressor:
             transferred, features = transfer_poses(tree, poses, positions, joint_sd)
             poses = correct_poses(tree, poses[1], transferred, self.network.evaluate(features))
         return poses
-
-    def refine_take(
-        self, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"], rate_hz: float
-    ) -> Poses:
-        """Return the poses of a take, each from its own start pose, from joint positions smoothed over time."""
-        return self.refine_poses(start, *smooth_positions(positions, joint_sd, rate_hz))

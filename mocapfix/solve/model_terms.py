@@ -10,7 +10,6 @@ Marquardt applied a second time, to what the inner solve treats as linear.
 In a mixture the component in which a pose costs least represents the whole mixture until another becomes cheaper.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -112,13 +111,11 @@ class ModelRounds:
 
     def minimise(self, settings: SolverSettings) -> PoseSolution:
         """Return the poses of least cost of all frames, solved in batches."""
-        self.solve_batches(lambda batch: self.solve_batch(settings, batch))
+        frames = np.arange(len(self.cost))
+        batches = np.array_split(frames, -(-len(frames) // MAX_BATCH_FRAMES)) if len(frames) else []
+        run_in_parallel(lambda batch: self.solve_batch(settings, batch), batches)
         codes = self.prior_scale * self.scaled_codes
         return PoseSolution(self.root_position, self.local_rotations, codes, self.status, self.iterations, self.cost)
-
-    def solve_batches(self, solve_batch: Callable[[np.ndarray], None]) -> None:
-        frames = np.arange(len(self.cost))
-        run_in_parallel(solve_batch, np.array_split(frames, -(-len(frames) // MAX_BATCH_FRAMES)) if len(frames) else [])
 
     def solve_batch(self, settings: SolverSettings, batch: np.ndarray) -> None:
         """Solve a batch of frames, linearising the model between rounds; the first round uses all robust scales."""
