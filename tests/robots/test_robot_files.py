@@ -87,7 +87,7 @@ def test_npz_has_quaternions_w_x_y_z_and_the_qpos_of_mujoco(turning, path):
         mujoco.mj_kinematics(model, data)
         root = model.body(arrays["body_names"][0]).id
         np.testing.assert_allclose(data.xpos[root], arrays["root_pos"][frame], atol=1e-9)
-        np.testing.assert_allclose(data.xmat[root].reshape(3, 3), turning.root_rotation[frame], atol=1e-9)
+        np.testing.assert_allclose(data.xmat[root].reshape(3, 3), turning.link_rotations[frame, 0], atol=1e-9)
     np.testing.assert_array_equal(arrays["qpos"][:, 7:], arrays["joint_pos"])
     assert [model.joint(name).qposadr[0] for name in arrays["joint_names"]] == [*range(7, model.nq)]
 
@@ -104,7 +104,7 @@ def test_csv_and_pickle_have_quaternions_x_y_z_w(turning, tmp_path):
     ]  # fmt: skip
     assert columns["fps"] == content["fps"] == RATE
     for quaternions in (table[:, 3:7], content["root_rot"]):
-        np.testing.assert_allclose(Rotation.from_quat(quaternions).as_matrix(), turning.root_rotation, atol=3e-6)
+        np.testing.assert_allclose(Rotation.from_quat(quaternions).as_matrix(), turning.link_rotations[:, 0], atol=3e-6)
     for positions, joints in ((table[:, :3], table[:, 7:]), (content["root_pos"], content["dof_pos"])):
         np.testing.assert_allclose(positions, turning.root_position, atol=1e-6)
         np.testing.assert_allclose(joints, turning.joint_positions, atol=1e-6)
