@@ -41,7 +41,7 @@ WORD_START = re.compile(r"(?<=[a-z])(?=[A-Z])")
 MAX_METACARPAL_SHARE = 0.4
 """distance of a metacarpal from the wrist, as a share of that of the next bone; of the shipped characters' at most 0.33, and of
 their first bones of fingers at least 0.67"""
-MIN_FINGERS = 3  # chains, of which one is the thumb, that are a hand whose bones have no known names
+MIN_FINGERS = 3  # chains that are a hand: by shape, of which one is the thumb, or by name beside the hand that was found
 MAX_LENGTH_RATIO = 3.0  # of the longest such chain to the shortest
 TIP_SHARE = 0.8  # length of a last bone without an end, as a share of the bone before it
 
@@ -93,9 +93,9 @@ def find_palms(
         forearm, hand = bones[f"{side}_forearm"][-1], bones.get(f"{side}_hand", (-1,))[-1]
         beside = [k for k in range(len(names)) if is_below(k, forearm, parents) and hand not in list_path(k, forearm, parents)]
         chains = _find_named_chains(names, parents, beside).values()
-        palms = {int(parents[chain[0]]) for chain in chains if len(chain) >= FINGER_BONE_COUNTS[0]}
-        if len(palms) == 1 and palms.issubset(beside):
-            found[f"{side}_hand"] = (palms.pop(),)
+        palms = [int(parents[chain[0]]) for chain in chains if len(chain) >= FINGER_BONE_COUNTS[0]]
+        if len(palms) >= MIN_FINGERS and len({*palms}) == 1 and palms[0] in beside:
+            found[f"{side}_hand"] = (palms[0],)
     return found
 
 
