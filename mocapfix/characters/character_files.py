@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.characters.body_frames import build_body_frame, measure_hand_poses
+from mocapfix.characters.body_frames import build_body_frame, list_fingers, measure_hand_poses
 from mocapfix.characters.character import (
     FINGERS,
     SIDES,
@@ -33,7 +33,7 @@ from mocapfix.characters.character import (
 from mocapfix.characters.character_yaml import write_mapping_file
 from mocapfix.characters.clips import carry_path, close_loop, list_source_joints, name_whole_stride, prepare_root_bone
 from mocapfix.characters.fbx import write_fbx
-from mocapfix.characters.fingers import HandPoses, has_named_fingers
+from mocapfix.characters.fingers import HandPoses, fit_finger, has_named_fingers
 from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.characters.load_character import load_character
 from mocapfix.characters.retarget_motion import retarget_motion
@@ -358,7 +358,11 @@ class CharacterFiles:
             raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, as the legs are."]
-        counts = [f"{sum(side in name for name in character.mapping.fingers)} of the {side} hand" for side in hands]
+        followed = {
+            side: sum(fit_finger(hand, side, each, 3) is not None for each in list_fingers(character, side).values())
+            for side, hand in hands.items()
+        }
+        counts = [f"{count} of the {side} hand" for side, count in followed.items()]
         notes += [f"{target.name}: Fingers that follow those of the take: {', '.join(counts)}."] if counts else []
         if contacts and (levels := contacts.floor.level_heights_m):
             lowest_m = compute_character_poses(source, convert_motion(motion, rate))[0][..., 1].min() - levels[0]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import measure_hand_poses
 from mocapfix.characters.character import FINGERS, SIDES, compute_character_poses
-from mocapfix.characters.character_files import convert_hand_motion, measure_animation_hands, write_character_bvh
+from mocapfix.characters.character_files import CharacterFiles, convert_hand_motion, measure_animation_hands, write_character_bvh
 from mocapfix.characters.character_yaml import read_mapping_file, write_mapping_file
 from mocapfix.characters.fingers import HandPoses, compute_straight_finger, find_fingers, find_palms, has_named_fingers
 from mocapfix.characters.load_character import load_character
@@ -19,7 +19,7 @@ from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, load_hand
 from mocapfix.hands.solve_hands import attach_hands, solve_hand
 from mocapfix.io.bvh import read_bvh, write_bvh_tree
 from mocapfix.model.skeleton import Skeleton, decompose_transforms
-from mocapfix.options import CHARACTER_PRESETS, ReadOptions
+from mocapfix.options import CHARACTER_PRESETS, OutputOptions, ReadOptions
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses, compute_world_poses
 from tests.characters.walking_body import load_walk
 from tests.hands.composed_hands import FRAMES, RATE_HZ, build_hand, carry_markers, compose_poses
@@ -234,6 +234,23 @@ def test_a_finger_that_the_source_lacks_bends_like_its_neighbour(walk):
     index, _ = compute_straight_finger("left", "index")
     like = compute_angles_deg(measure_directions(target, posed, "left", "index"), few["left"].palm[:, None] @ index)
     np.testing.assert_allclose(bend, like, atol=8.0)  # the axis of the turn is not across both fingers
+
+
+def test_the_report_counts_the_fingers_that_follow(tmp_path):
+    skeleton, motion, hands = compose_hands_on_body()
+    poses = {hand.hand.model.side.lower(): convert_hand_motion(hand, RATE_HZ, RATE_HZ) for hand in hands}
+    poses["left"] = poses["left"]._replace(fingers={"index": poses["left"].fingers["index"]})  # no thumb
+    moved = motion.select_frames(np.arange(4))
+    few = {
+        side: hand._replace(palm=hand.palm[:4], fingers={k: v[:4] for k, v in hand.fingers.items()})
+        for side, hand in poses.items()
+    }
+    for name, count in (("mixamo", 4), ("smpl", 0)):
+        notes = CharacterFiles(load_character(name), OutputOptions()).write(
+            tmp_path / f"a.{name}.glb", skeleton, moved, RATE_HZ, hands=few
+        )
+        expected = f"follow those of the take: {count} of the left hand, {count + (count > 0)} of the right hand."
+        assert any(expected in note for note in notes)
 
 
 def test_hands_do_not_change_a_character_without_fingers_and_none_keep_the_rest_pose(walk):
