@@ -38,7 +38,7 @@ from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.solve.learned_ik import Perceptron, read_perceptron
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import average_windows, find_runs
 
 TOES = slice(1, None, 2)  # columns of CONTACT_JOINTS
 MAX_SHOWN_JOINT_SD_M = 0.03  # standard deviation above which a joint's position is never known
@@ -139,7 +139,7 @@ def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarra
     stands, is_known, logit = find_shown_standing(position, sd, rate)
     if stands.any() and not is_known.all():
         features, network = compute_contact_features(position, sd, stands & is_known, rate), load_contact_network()
-        hidden = average_around(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES)
+        hidden = average_windows(np.hstack([network.evaluate(each) for each in features]), LOGIT_FRAMES)
         frames, at = np.arange(len(position)) / rate, np.arange(len(hidden)) / FEATURE_RATE_HZ
         logit = np.where(is_known, logit, _resample(hidden, at, frames))
         stands = np.where(is_known, stands, logit > MIN_CONTACT_LOGIT)
@@ -173,12 +173,6 @@ SLOW_SPEED_M_S, MIN_FEATURE_SPEED_M_S, MIN_FEATURE_SD_M = 0.1, 0.005, 0.001
 FEATURE_COUNT = 70  # of a foot
 
 
-def average_around(signal: Float[np.ndarray, "N C"], count: int) -> Float[np.ndarray, "N C"]:
-    """Return the means of an odd number of values around each; beyond its ends a signal stays as it is there."""
-    padded = np.pad(signal, ((count // 2, count // 2), (0, 0)), mode="edge")
-    return np.lib.stride_tricks.sliding_window_view(padded, count, axis=0).mean(-1)
-
-
 @cache
 def load_contact_network() -> Perceptron:
     """Return the network that ships as priors/contacts.safetensors: logits of the contacts of an ankle and its toes."""
@@ -207,7 +201,7 @@ def compute_contact_features(
     log_sd = np.log(np.maximum(_resample(sd, frames, at), MIN_FEATURE_SD_M))
     rise = np.arcsinh(_resample(np.gradient(position[..., 1], 1 / rate, axis=0), frames, at) / SLOW_SPEED_M_S)
     averaged = ((speed, MEAN_FRAMES[0]), (speed, MEAN_FRAMES[1]), ((speed < 0) * 1.0, MEAN_FRAMES[0]))
-    means = [average_around(each, count) for each, count in averaged]
+    means = [average_windows(each, count) for each, count in averaged]
 
     def select(signal: Float[np.ndarray, "N C"], around: Int[np.ndarray, " K"]) -> Float[np.ndarray, "N C K"]:
         frame = np.clip(np.arange(len(at))[:, None] + around, 0, len(at) - 1)  # beyond its ends a signal stays as it is there

@@ -11,10 +11,11 @@ Entities of the recording:
 
 import json
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -72,35 +73,6 @@ BONE_WIDTH = 0.016  # relative to the height of the body
 MIN_OPACITY = 0.25  # of a keypoint with confidence 0
 
 
-class CameraEntry(TypedDict):
-    pixels_per_metre: float
-    origin_px: list[float]
-    pitch_down_deg: float
-
-
-class ReprojectionSummary(TypedDict):
-    """Distances of the keypoints from the projected body in pixels."""
-
-    mean: float
-    p95: float
-    by_keypoint: dict[str, float | None]
-
-
-class KeypointReport(TypedDict):
-    """The JSON report of a motion fitted to keypoints."""
-
-    scene: str
-    frames: int
-    rate_hz: float
-    order: str  # keypoint order of the detector
-    prior: str
-    camera: CameraEntry
-    reprojection_px: ReprojectionSummary
-    status: dict[str, int]  # number of frames by final status of the solver
-    seconds: dict[str, float]
-    notes: list[str]
-
-
 @dataclass(frozen=True)
 class KeypointFilm:
     """Keypoints of a film and the body fitted to them."""
@@ -154,7 +126,7 @@ def write_keypoint_recording(target: Path, film: KeypointFilm) -> None:
         check_recording_complete(part)
 
 
-def write_keypoint_page(target: Path, film: KeypointFilm, report: KeypointReport) -> None:
+def write_keypoint_page(target: Path, film: KeypointFilm, report: Mapping[str, Any]) -> None:
     """Write a page with some frames as seen by the camera, keypoints over the body, and the same frames from the side."""
     frame_count = len(film.joint_position_world)
     frames = np.unique(np.linspace(0, frame_count - 1, KEYPOINT_FIGURE_COUNT + 2)[1:-1].round().astype(int))
@@ -168,7 +140,7 @@ def write_keypoint_page(target: Path, film: KeypointFilm, report: KeypointReport
     )
 
 
-def _build_facts(report: KeypointReport) -> list[tuple[str, str]]:
+def _build_facts(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the key numbers: value and text."""
     error_px = report["reprojection_px"]
     return [
@@ -238,7 +210,8 @@ class KeypointResult:
         return np.where(self.keypoints.confidence > 0, distance, np.nan)
 
     @property
-    def report(self) -> KeypointReport:
+    def report(self) -> dict[str, Any]:
+        """The JSON report."""
         error_px, detector = self.reprojection_error_px, self.keypoints.detector
         by_keypoint = [column[np.isfinite(column)] for column in error_px.T]
         means = [round(float(column.mean()), 2) if len(column) else None for column in by_keypoint]
