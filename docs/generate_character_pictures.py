@@ -57,7 +57,7 @@ SHOWN_GESTURES = {"fist": "fist", "point": "point", "flat": "spread", "grip": "g
 """gestures of the benchmark, and their titles"""
 HAND_CHARACTERS = ("Xbot.glb", "geno_bl.glb")
 CELL_PX, TITLE_PX, TEXT_PX = (200, 190), 26, 16
-PX_PER_M, HAND_HEIGHT = 820.0, 0.1  # of the picture; where the wrist is above the lower edge of a cell, as a share of its height
+PX_PER_M, HAND_HEIGHT = 750.0, 0.16  # of the picture; where the wrist is above the lower edge of a cell, as a share of its height
 TO_VIEWER = np.array([0.1, 0.75, 0.65])  # in the axes of a left palm: from the tips, the back of the hand and the thumb
 SKIN, TRUE_SKIN, PALM_RADIUS_M = (0.9, 0.72, 0.56), (0.62, 0.69, 0.78), 0.0105
 BONE_RADII_M = np.linspace(0.0095, 0.0065, 4)  # from the knuckle to the tip
