@@ -194,9 +194,8 @@ class MarkerProcesses:
                 held_frames, hidden_frames = training[held_out], w.hidden_frames[k]
                 at = np.minimum(np.searchsorted(held_frames, hidden_frames), len(held_out) - 1)
                 held_error, held_variance = process.predict_held_out(held_out)
-                # increased to the uncertainty in the gap
-                inflation = np.sqrt(np.maximum(relative_variance[w.points] / held_variance[at], 1.0))
-                local_error = held_error[at].reshape(len(at), -1, 3) * inflation[:, None, None]
+                scale = np.sqrt(relative_variance[w.points] / held_variance[at])  # from the uncertainty there to that in the gap
+                local_error = held_error[at].reshape(len(at), -1, 3) * scale[:, None, None]
                 local_error[held_frames[at] != hidden_frames] = np.nan
                 error[k] = np.einsum("sab,smb->sma", axes.rotation_world_axes[hidden_frames], local_error)
         return world, sd, error

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.gap_windows import MarkerEstimate, MarkersInTake, choose_hidden_stretches
@@ -149,6 +150,20 @@ def test_errors_of_hidden_stretches_are_like_those_of_the_gap():
     actual = np.sqrt(np.mean([(e.position - truth[300:360, m]) ** 2 for m, e in enumerate(estimates, start=10)]))
     hidden = np.sqrt(np.nanmean([e.error**2 for e in estimates]))
     assert 0.2 < actual / hidden < 2
+
+
+def test_hard_motion_elsewhere_does_not_count_as_the_error_in_an_easy_gap():
+    """Limbs swing at random in the second half of the take; the gap is in the first."""
+    truth, rng = walking(), np.random.default_rng(3)
+    swing = gaussian_filter1d(rng.normal(size=(400, 8, 3)), 20, axis=0)
+    truth[400:, 6:] += 0.2 * swing / swing.std()
+    damaged = truth.copy()
+    damaged[200:240, 10:] = np.nan
+    window = choose_hidden_stretches(~np.isnan(damaged[:, 10, 0]), 200, 239, RATE)
+    others = np.full(truth.shape, np.nan)
+    estimates = build_processes(damaged, others, others[..., 0]).estimate_gap(window, np.arange(10, 14))
+    actual = np.sqrt(np.mean([(e.position - truth[200:240, m]) ** 2 for m, e in enumerate(estimates, start=10)]))
+    assert np.sqrt(np.nanmean([e.error**2 for e in estimates])) < 2 * actual
 
 
 def test_precise_estimates_are_used_as_inputs():
