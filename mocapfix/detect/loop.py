@@ -251,15 +251,23 @@ def detect_on_body(
 def detect_on_hands(
     detected: Detected, body: BodyFit, marker_set: MarkerSet, review: FaultReview, options: DetectOptions
 ) -> Detected:
-    """Correct the labels of finger markers. Returns `detected` itself where they are right, or there are none."""
+    """Correct the labels of finger markers and find ghosts among them. Returns `detected` itself where it finds nothing."""
     is_judged = not marker_set.point_sd  # neighbouring fingers are as near as the noise of keypoints
-    swaps = review.select(find_finger_faults(detected.take, body.subject, body.motion)) if is_judged else []
-    if not swaps:
+    found = review.select(find_finger_faults(detected.take, body.subject, body.motion)) if is_judged else []
+    swaps, ghosts = ([fault for fault in found if (fault.kind == "ghost") == is_ghost] for is_ghost in (False, True))
+    if not found:
         return detected
     take, changed = undo_label_exchanges(detected.take, swaps), {marker for fault in swaps for marker in fault.markers}
-    found = detect_remaining_faults(take, marker_set, review, options).items
-    kept = (fault for fault in detected.sample_faults.items if fault.marker not in changed)
-    sample_faults = Faults().add_faults((*kept, *(fault for fault in found if fault.marker in changed)))
+    sample_faults, before = detected.sample_faults, detected.take.markers
+    if swaps:
+        remaining = detect_remaining_faults(take, marker_set, review, options).items
+        kept = (fault for fault in sample_faults.items if fault.marker not in changed)
+        sample_faults = Faults().add_faults((*kept, *(fault for fault in remaining if fault.marker in changed)))
+    is_known = sample_faults.compute_faulty_mask(take)
+    for fault in ghosts:  # its label may be another one now
+        is_same = (take.markers[fault.frame_slice] == before[fault.frame_slice, fault.marker][:, None]).all((0, 2))
+        is_new = is_same & ~is_known[fault.frame_slice].all(0)
+        sample_faults = sample_faults.add_faults(replace(fault, marker=int(marker)) for marker in np.flatnonzero(is_new))
     return replace(detected, take=take, label_faults=(*detected.label_faults, *swaps), sample_faults=sample_faults)
 
 

@@ -24,7 +24,7 @@ from mocapfix.hands.calibrated_hand import (
     minimise_hand_poses,
 )
 from mocapfix.hands.calibration import build_average_hand
-from mocapfix.hands.finger_markers import SIDES, FingerMarkers, find_finger_markers, list_finger_sets, select_carried
+from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers, list_finger_sets, select_carried
 from mocapfix.hands.hand_model import HAND_JOINTS, load_hand
 from mocapfix.hands.solve_hands import add_palm_markers, trace_palm
 from mocapfix.labels import tracklets
@@ -38,7 +38,7 @@ from mocapfix.model.take import Take
 from mocapfix.solve.kinematics import predict_markers
 from mocapfix.solve.minimise import compute_costs
 from mocapfix.stats.rigid_alignment import compute_rotations
-from mocapfix.stats.sequences import sample_evenly
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 # Measured on composed people of `bench hands` with seeds of 100 and more, with 20, 10 and 6 markers of a hand pair.
 FINGER_REACH_M = 0.3  # from the wrist, of points that may be markers of its hand
@@ -49,14 +49,14 @@ MAX_ASSIGNMENT_ROUNDS = 4
 # Exchanges are tried that seem to lose less, with the poses unchanged and markers within this distance of the hand's: all right
 # ones seem to gain, and nine of ten wrong ones lose more.
 MIN_PRELIMINARY_GAIN, PRELIMINARY_SD_M = -4.0, 0.015
-# Median over frames of the negative logarithm of a pose's probability density that an exchange saves: up to 4.2 was measured for
+# Median over frames of the negative logarithm of a pose's probability density that an exchange saves: up to 6.3 was measured for
 # wrong ones, 17 and more for right ones of a stretch; of a single tip beside a lost one it may be 4.
-MIN_FINGER_GAIN = 6.0
+MIN_FINGER_GAIN = 9.0
 MAX_TESTED_FRAMES = 16  # of a stretch
 MAX_EXCHANGES = 12  # of a hand
 FINGER_CONFIDENCE = 0.95  # of a correction
+MAX_GHOST_SHARE = 0.1  # of the samples of a label: with more its marker is not where the finger set has it
 MIN_FINGER_CONFIDENCE = 0.8  # of the label of a point that has none in the file
-MIN_NEAR_POINTS = 2  # near a hand in most frames that may be its fingers
 START_FRAMES = 40  # in which labels are searched that the file does not have
 START_CODE = 1.5  # standard deviations of the hand's first modes: the poses from which they are searched, besides the mean
 START_GATES_M = (0.12, 0.08, 0.06, 0.05)  # distances beyond which a point is not assigned, in each round
@@ -230,7 +230,10 @@ def list_exchangeable(
 
 
 def find_finger_faults(take: Take, subject: Subject, motion: Motion) -> list[Fault]:
-    """Return the exchanges of the labels of finger markers in the order of their first frames; undone, each has its own."""
+    """Return the exchanges of the labels of finger markers in the order of their first frames; undone, each has its own.
+
+    Then the ghosts: points near a hand that no finger of it can be while the others are where they are.
+    """
     hands = find_finger_markers(subject.marker_set, take.labels)
     carried = select_carried(hands, subject.joints)
     if not carried:
@@ -242,7 +245,7 @@ def find_finger_faults(take: Take, subject: Subject, motion: Motion) -> list[Fau
     for hand in carried:
         points, own = collect_points(hand, (subject, motion), take, positions, columns), places[np.isin(columns, hand.columns)]
         found = tracklets.assign_to_tracklets(points.points, label_tracklets(points, MIN_FINGER_GAIN)[0], -2)
-        is_lost = (found == -1) & np.isin(places, own)
+        is_lost = (found == -1) & np.isin(places, own) & (target == places)
         target = np.where(found >= 0, own[found], np.where(is_lost, -1, target))
     is_visible, runs = ~np.isnan(positions[..., 0]), dict[tuple[int, ...], list[int]]()
     for frame in np.flatnonzero(((target != places) & is_visible).any(1)).tolist():
@@ -256,7 +259,13 @@ def find_finger_faults(take: Take, subject: Subject, motion: Motion) -> list[Fau
             markers = tuple(int(columns[place]) for place in cycle)
             interval = int(part[0]), int(part[-1])
             faults.append(build_exchange_fault(take, markers, interval, FINGER_CONFIDENCE, take.bare_labels))
-    return sorted(faults, key=lambda fault: fault.first)
+    ghosts = list[Fault]()
+    is_ghost = (target == -1) & ((target == -1).sum(0) <= MAX_GHOST_SHARE * is_visible.sum(0))
+    for marker, (first, last) in ((columns[place], run) for place in places for run in find_runs(is_ghost[:, place])):
+        time = f"{(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
+        reason = f"{take.bare_labels[marker]} is for {time} at a point that no finger of the hand can be."
+        ghosts.append(Fault("ghost", int(marker), first, last, np.nan, reason, FINGER_CONFIDENCE))
+    return [*sorted(faults, key=lambda fault: fault.first), *ghosts]
 
 
 def _order_sources(target: Int[np.ndarray, " F"], is_visible: Bool[np.ndarray, " F"]) -> Int[np.ndarray, " F"]:
@@ -278,25 +287,39 @@ def _order_sources(target: Int[np.ndarray, " F"], is_visible: Bool[np.ndarray, "
     return source
 
 
+def list_lacking_sets(marker_set_name: str, labels: tuple[str, ...]) -> list[list[FingerMarkers]]:
+    """Return for each side the finger sets of a marker set that have all finger labels of a take, and more."""
+    shown = {hand.side: len(hand.columns) for hand in find_finger_markers(marker_set_name, labels)}
+    by_side = zip(*list_finger_sets(marker_set_name), strict=True)
+    found = ([replace(hand, columns=hand.markers.find_columns(labels)) for hand in hands] for hands in by_side)
+    return [
+        [hand for hand in hands if (hand.columns >= 0).sum() == shown.get(hand.side, 0) < len(hand.columns)] for hands in found
+    ]
+
+
 def may_show_fingers(take: Take, marker_set: MarkerSet) -> bool:
-    """Return whether unlabelled points are near a labelled hand of a body without finger markers in most frames."""
-    if take.unlabelled is None or marker_set.point_sd or find_finger_markers(marker_set.name, take.labels):
-        return False
-    if not list_finger_sets(marker_set.name):
+    """Return whether in most frames as many unlabelled points are near a labelled hand as a finger set has and the hand lacks."""
+    if take.unlabelled is None or marker_set.point_sd:
         return False
     joints, columns = load_cmu31_body().skeleton, marker_set.find_columns(take.labels)
-    for side in SIDES:
-        own = columns[(marker_set.joints == joints.find_joint(f"{side}Hand")) & (columns >= 0)]
+    for sets in filter(None, list_lacking_sets(marker_set.name, take.labels)):
+        own = columns[(marker_set.joints == joints.find_joint(f"{sets[0].side}Hand")) & (columns >= 0)]
+        fewest = min((hand.columns < 0).sum() for hand in sets)
         for column in own[:1]:
             distance = np.linalg.norm(take.unlabelled.markers - take.markers[:, column, None], axis=-1)
-            if np.median((distance < FINGER_REACH_M).sum(1)) >= MIN_NEAR_POINTS:
+            if np.median((distance < FINGER_REACH_M).sum(1)) >= (1 - MAX_COUNT_DIFFERENCE) * fewest:
                 return True
     return False
 
 
 def search_labels(hand_points: HandPoints) -> HandPoints:
-    """Return points without labels with the shares of frames in which the best pose of the hand has each tracklet as a marker."""
+    """Return points with the shares of frames in which the best pose of the hand has each tracklet as a marker.
+
+    Tracklets that have labels keep these.
+    """
     sampled, count, tracklet_count = hand_points.sampled, hand_points.shares.shape[1], hand_points.points.tracklet_count
+    is_labelled = hand_points.shares.max(1, keepdims=True) > 0
+    is_wrong = np.append(is_labelled & (hand_points.shares < 0.5), np.zeros((1, count), bool), axis=0)
     hand, number = build_average_hand(hand_points.hand, hand_points.size_ratio), (sampled.tracklets >= 0).sum(1)
     full = np.flatnonzero(number >= np.quantile(number, 0.5))
     part = sampled.select_frames(full[sample_evenly(len(full), START_FRAMES)])
@@ -309,6 +332,7 @@ def search_labels(hand_points: HandPoints) -> HandPoints:
         predicted, cost, found = predict_markers(hand.subject, (root, local))[:, :count], least, best
         for gate_m in START_GATES_M:
             squared = np.nan_to_num(((part.positions[:, :, None] - predicted[:, None]) ** 2).sum(-1), nan=1e3)
+            squared += 1e3 * is_wrong[part.tracklets]
             found = np.array([tracklets.assign_within_gate(each, gate_m)[0] for each in squared])
             fingers = np.full(predicted.shape, np.nan)
             rows, places = np.nonzero(found >= 0)
@@ -319,7 +343,8 @@ def search_labels(hand_points: HandPoints) -> HandPoints:
         least = np.minimum(cost, least)
     votes = np.zeros((tracklet_count, count + 1))
     np.add.at(votes, (part.tracklets[part.tracklets >= 0], best[part.tracklets >= 0]), 1)
-    return replace(hand_points, shares=votes[:, :count] / np.maximum(votes.sum(1, keepdims=True), 1))
+    found_shares = votes[:, :count] / np.maximum(votes.sum(1, keepdims=True), 1)
+    return replace(hand_points, shares=np.where(is_labelled, hand_points.shares, found_shares))
 
 
 def label_unlabelled_fingers(
@@ -327,24 +352,28 @@ def label_unlabelled_fingers(
 ) -> tuple[tracklets.PointLabels, tuple[str, ...]] | None:
     """Return the labels of unlabelled points near the hands of a body, and their names; None if they are no finger set.
 
-    Where an exchange of two labels is about as probable, neither point gets one.
+    Of a hand with some finger labels these are the others of a set. Where an exchange of two labels is about as probable, neither
+    point gets one.
     """
     assert take.unlabelled is not None
-    positions, names = take.unlabelled.markers, list[str]()
-    markers, confidence = np.full(positions.shape[:2], -1), np.zeros(positions.shape[:2])
-    sets = list_finger_sets(subject.marker_set)
-    for hands in zip(*sets, strict=True):
-        found = [collect_points(hand, (subject, motion), take, positions, np.full(positions.shape[1], -2)) for hand in hands]
+    shape, names, by_side = take.unlabelled.visible.shape, list[str](), list_lacking_sets(subject.marker_set, take.labels)
+    markers, confidence = np.full(shape, -1), np.zeros(shape)
+    for hands in filter(None, by_side):
+        labelled = hands[0].columns[hands[0].columns >= 0]
+        positions = np.concatenate([take.unlabelled.markers, take.markers[:, labelled]], axis=1)
+        columns = np.append(np.full(shape[1], -2), labelled)
+        found = [collect_points(hand, (subject, motion), take, positions, columns) for hand in hands]
         near = float(np.median((found[0].points.tracklet_indices >= 0).sum(1)))
         points = min(found, key=lambda each: abs(each.shares.shape[1] - near))
         if abs(points.shares.shape[1] - near) > MAX_COUNT_DIFFERENCE * points.shares.shape[1]:
             continue
         of_tracklets, probability = label_tracklets(search_labels(points), 0.0)
-        of_tracklets = np.where(probability >= MIN_FINGER_CONFIDENCE, of_tracklets, -1)
-        own = tracklets.assign_to_tracklets(points.points, of_tracklets, -1)
+        lacking = np.append(points.hand.columns[: points.shares.shape[1]] < 0, False)
+        of_tracklets = np.where((probability >= MIN_FINGER_CONFIDENCE) & lacking[of_tracklets], of_tracklets, -1)
+        own = tracklets.assign_to_tracklets(points.points, of_tracklets, -1)[:, : shape[1]]
         is_new = (own >= 0) & (markers < 0)
         markers[(own >= 0) & ~is_new] = -1  # both hands might have it
-        markers[is_new] = own[is_new] + len(names)
-        confidence[is_new] = tracklets.assign_to_tracklets(points.points, probability, 0.0)[is_new]
-        names += points.hand.markers.labels[: points.shares.shape[1]]
+        markers[is_new] = (np.cumsum(lacking) - 1)[own[is_new]] + len(names)
+        confidence[is_new] = tracklets.assign_to_tracklets(points.points, probability, 0.0)[:, : shape[1]][is_new]
+        names += np.array(points.hand.markers.labels)[lacking[:-1].nonzero()].tolist()
     return (tracklets.PointLabels(markers, confidence), tuple(names)) if (markers >= 0).any() else None

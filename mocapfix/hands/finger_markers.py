@@ -79,7 +79,7 @@ def read_finger_scheme(path: Path) -> FingerScheme:
             aliases = tuple(tuple(_rename(alias, side) for alias in each.get("aliases", ())) for each in places)
             of_hand = f"{side.lower()} hand", labels, joints, offsets, spread, aliases
             hands.append(MarkerSet(name, title, *of_hand, point_sd=point_sd))
-        sets = tuple(map(frozenset, (*data.get("sets", ()), entries)))
+        sets = tuple(map(frozenset, data.get("sets", [entries])))
         return FingerScheme(name, title, tuple(data["marker_sets"]), (hands[0], hands[1]), sets)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise SceneError(f"{path}: must hold name, title, marker_sets and markers ({error}).") from error
@@ -93,15 +93,19 @@ def _rename(label: str, side: Side) -> str:
 def find_finger_markers(marker_set_name: str, labels: tuple[str, ...]) -> tuple[FingerMarkers, ...]:
     """Return the finger markers of a take whose body has a marker set, for each hand that shows any finger beyond its knuckle.
 
+    Of several schemes of the marker set it is the one with the most of the labels.
+
     Args:
         marker_set_name: Of the body.
         labels: Of the take.
     """
-    for scheme in load_finger_schemes():
-        if marker_set_name in scheme.marker_sets:
-            found = [FingerMarkers(side, hand, hand.find_columns(labels)) for side, hand in zip(SIDES, scheme.hands, strict=True)]
-            return tuple(select_shown(each) for each in found if ((each.columns >= 0) & (each.turning_joints > 0)).any())
-    return ()
+    found = [
+        [FingerMarkers(side, hand, hand.find_columns(labels)) for side, hand in zip(SIDES, scheme.hands, strict=True)]
+        for scheme in load_finger_schemes()
+        if marker_set_name in scheme.marker_sets
+    ]
+    most = max(found, key=lambda hands: (sum((each.columns >= 0).sum() for each in hands), -len(hands[0].columns)), default=[])
+    return tuple(select_shown(each) for each in most if ((each.columns >= 0) & (each.turning_joints > 0)).any())
 
 
 def select_carried(hands: Iterable[FingerMarkers], joints: Int[np.ndarray, " K"]) -> tuple[FingerMarkers, ...]:

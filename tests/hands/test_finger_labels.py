@@ -12,7 +12,7 @@ from mocapfix.hands.hand_model import HAND_JOINTS
 from mocapfix.hands.solve_hands import trace_palm
 from mocapfix.io.c3d import write_c3d
 from mocapfix.labels.label_swaps import undo_label_exchanges
-from mocapfix.model.faults import FaultReview
+from mocapfix.model.faults import FaultReview, build_fault_mask
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions
 from mocapfix.pipeline import clean, label
@@ -97,6 +97,23 @@ def test_a_sample_under_the_label_of_a_missing_finger_goes_back(body):
     np.testing.assert_array_equal(undo_label_exchanges(wrong, faults).markers, right.markers)
 
 
+def test_a_point_that_no_finger_can_be_is_a_ghost(body, tmp_path):
+    subject, motion, take = body
+    middle, markers = take.labels.index("LMID6"), take.markers.copy()
+    markers[70:110, middle] = np.nan
+    markers[80:96, middle] = take.markers[80, middle] + [0.05, 0.07, -0.05]
+    wrong = take.replace_markers(markers)
+    faults = find_finger_faults(wrong, subject, motion)
+    assert [(fault.kind, fault.markers, fault.first, fault.last) for fault in faults] == [("ghost", (middle,), 80, 95)]
+    path = tmp_path / "walk.c3d"
+    write_c3d(path, exchange(wrong, "LMID6", "LRNG6", 85, 120))
+    result = clean(path, is_fast=True)
+    assert not build_fault_mask(result.faults.select_kinds("ghost"), markers.shape[:2])[
+        :, np.arange(len(take.labels)) != middle
+    ].any()
+    assert result.faults.compute_faulty_mask(result.relabelled_take)[80:96, middle].all()
+
+
 def test_fingers_of_a_hand_without_a_palm_are_judged_by_their_trajectories(body):
     subject, motion, take = body
     names = [subject.skeleton.names[joint] for joint in subject.joints]
@@ -163,6 +180,24 @@ def test_fingers_without_labels_get_those_of_their_set(body):
     assert (labels.confidence > 0.8).all()
 
 
+@pytest.mark.parametrize("hidden", [["LMID6", "LRNG6", "RTHM6"], ["RIDX6"], [f"L{name}" for name in TIPS]])
+def test_fingers_beside_labelled_ones_get_the_labels_that_are_left(body, hidden):
+    subject, motion, take = body
+    shown = np.array([m for m, label in enumerate(take.labels) if label not in hidden])
+    unlabelled = Take(
+        take.markers[:, [take.labels.index(label) for label in hidden]], tuple(f"*{n}" for n in range(len(hidden))), RATE_HZ
+    )
+    partly = replace(take.select(shown, take.visible), unlabelled=unlabelled)
+    assert may_show_fingers(partly, load_marker_set("frontwaist53"))
+    found = label_unlabelled_fingers(partly, subject, motion)
+    assert found is not None
+    labels, names = found
+    assert set(names) == set(hidden)
+    np.testing.assert_array_equal(
+        labels.marker_indices, np.tile([names.index(label) for label in hidden], (len(take.markers), 1))
+    )
+
+
 def test_points_that_are_no_finger_set_keep_no_label(body):
     subject, motion, take = body
     hidden, _ = hide_labels(take, subject, {f"{side}{name}" for side in "LR" for name in TIPS[:3]})  # two a hand
@@ -175,7 +210,8 @@ def test_hands_with_finger_labels_and_bodies_without_points_near_them_show_no_un
     assert hidden.unlabelled is not None
     marker_set = load_marker_set("frontwaist53")
     assert not may_show_fingers(take, marker_set)
-    assert not may_show_fingers(replace(take, unlabelled=hidden.unlabelled), marker_set)
+    one = Take(hidden.unlabelled.markers[:, :1], ("*0",), RATE_HZ)  # a set of ten has five more
+    assert not may_show_fingers(replace(take, unlabelled=one), marker_set)
     far = replace(hidden.unlabelled, markers=hidden.unlabelled.markers + 1.0)
     assert not may_show_fingers(replace(hidden, unlabelled=far), marker_set)
     assert not may_show_fingers(hidden, load_marker_set("cmu41"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import SceneError
-from mocapfix.hands.finger_markers import find_finger_markers, load_finger_schemes, read_finger_scheme
+from mocapfix.hands.finger_markers import find_finger_markers, list_finger_sets, load_finger_schemes, read_finger_scheme
 from mocapfix.hands.hand_model import MIRROR, load_hand
 from mocapfix.subject.library import choose_marker_set, load_marker_set
 
@@ -34,6 +34,19 @@ def test_sets_of_optitrack_are_found_with_their_body():
     left, right = find_finger_markers("optitrack-core50", (*load_marker_set("optitrack-core50").labels, *OPTITRACK))
     assert left.markers.labels == ("LThumb", "LIndex", "LPinky")
     assert right.columns.tolist() == [53, 54, 55]
+
+
+def test_sets_of_qualisys_are_found_with_their_body():
+    tips = ("LThumbTip", "LIndexTip", "LPinkyTip")
+    (left,) = find_finger_markers("qualisys-animation", (*load_marker_set("qualisys-animation").labels, *tips))
+    assert left.markers.labels == tips
+    assert [len(hand.markers.labels) for hand, _ in list_finger_sets("qualisys-animation")] == [3, 5, 10]
+
+
+def test_of_two_schemes_with_the_same_names_that_with_more_of_the_labels_is_used():
+    dense = next(each for each in load_finger_schemes() if each.name == "moshpp-fingers")
+    for labels, name in ((dense.hands[0].labels, "moshpp-fingers"), (VICON, "vicon-fingers"), (THREE, "vicon-fingers")):
+        assert {hand.markers.name for hand in find_finger_markers("production57", labels)} == {name}
 
 
 @pytest.mark.parametrize(("body", "wrist", "tip"), [
