@@ -35,7 +35,7 @@ from mocapfix.model.motion import Motion, PoseUncertainty
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
 from mocapfix.solve.minimise import PoseSolution, SolverSettings, minimise
-from mocapfix.solve.model_terms import PoseModelTerm
+from mocapfix.solve.model_terms import INITIAL_CODE_DAMPING, PoseModelTerm
 from mocapfix.solve.pose_prior import PoseModel
 from mocapfix.solve.single_pose import Camera
 from mocapfix.solve.smoothing import smooth_poses
@@ -304,7 +304,7 @@ class ReprojectionProblem:
         )  # fmt: skip
         near_start = TrackingTerm(np.zeros((1, joints, 3, 3)), np.zeros((1, joints)), root, np.full(1, ROOT_POSITION_SD_M**-2))
         terms = (reprojection, tracking or near_start, PoseModelTerm(self.model, self.prior_scale))
-        settings = SolverSettings(tuple(scale**2 for scale in self.robust_scales_sd), MAX_FILM_ITERATIONS)
+        settings = SolverSettings(tuple(scale**2 for scale in self.robust_scales_sd), MAX_FILM_ITERATIONS, INITIAL_CODE_DAMPING)
         return minimise(self.tree, terms, (root, local), settings)
 
     def compute_positions(

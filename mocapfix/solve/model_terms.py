@@ -186,7 +186,7 @@ class LinearRounds(ModelRounds):
         """Return the poses of least cost of all frames."""
         start = self.scaled_codes[:1]
         self.term = linearise_model_term(self.tree, self.model, self.prior_scale, start, 0.0, self.batch_rows)
-        return super().minimise(replace(settings, damping_ratio=INITIAL_CODE_DAMPING))
+        return super().minimise(settings)
 
     def solve_batch(self, settings: SolverSettings, batch: np.ndarray) -> None:
         self.iterate((self.term,), settings, batch)

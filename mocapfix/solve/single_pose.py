@@ -17,7 +17,7 @@ from mocapfix.model.motion import FrameStatus
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics, mean_pose, trained_priors
 from mocapfix.solve.minimise import SolverSettings, compute_uncertainty, minimise
-from mocapfix.solve.model_terms import PoseModelTerm, linearise_model_term
+from mocapfix.solve.model_terms import INITIAL_CODE_DAMPING, PoseModelTerm, linearise_model_term
 from mocapfix.solve.pose_prior import GaussianModel, PoseModel, compute_pose_vectors
 from mocapfix.solve.terms import (
     DirectionTerm,
@@ -335,7 +335,7 @@ def solve_pose(
         root_position, local_rotations = build_start_poses(tree, model, terms[0])
     else:
         root_position, local_rotations = check_start_pose(start, skeleton)
-    settings = SolverSettings(max_iterations=MAX_SINGLE_POSE_ITERATIONS)
+    settings = SolverSettings(max_iterations=MAX_SINGLE_POSE_ITERATIONS, damping_ratio=INITIAL_CODE_DAMPING)
     solutions = minimise(tree, (*terms, PoseModelTerm(model, prior_scale)), (root_position, local_rotations), settings)
     best = int(np.nanargmin(solutions.cost))
     solution = solutions.select_frames(slice(best, best + 1))

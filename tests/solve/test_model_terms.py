@@ -130,6 +130,17 @@ def test_poses_of_the_model_are_recovered_from_all_joints(make):
     assert (found.status == FrameStatus.CONVERGED).all()
 
 
+def test_linear_model_needs_few_iterations_with_little_damping_from_a_good_start():
+    rng = np.random.default_rng(1)
+    model = build_linear_model(rng)
+    tree, points, start, _ = case(rng, model)
+    found = solve(tree, points, model, start)
+    settings = (SolverSettings(damping_ratio=ratio) for ratio in (1e-9, 0.1))
+    little, much = (minimise(tree, (points, PoseModelTerm(model)), found.poses, each) for each in settings)
+    assert little.iterations.max() <= 3 < much.iterations.min()
+    np.testing.assert_allclose(little.cost, much.cost, atol=2e-3)
+
+
 def test_linear_model_gives_the_least_squares_solution():
     rng = np.random.default_rng(1)
     model = build_linear_model(rng)
