@@ -32,7 +32,6 @@ from mocapfix.model.faults import Fault, Faults, build_fault_mask
 from mocapfix.model.skeleton import compose_transforms, find_ancestor
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.solve import occluded_joints
 from mocapfix.solve.motion_prior import GapContext, combine_rotations, compute_combined_variance, compute_prediction_weight
 from mocapfix.solve.occluded_joints import RECORDED_ROTATION_KERNEL, KnownMotion, infer_gap_joints
 from mocapfix.solve.parallel import run_in_parallel
@@ -40,6 +39,7 @@ from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.sequences import DENSE_TRAINING_MARGIN_S, find_runs, group_gaps
 
 LOST_KINDS = ("gap", "stuck")  # fault kinds whose values carry no information
+MAX_LOST_SHARE = 0.5  # of the joints that move; with more, the root is lost too
 MIN_STEADY_FRAMES = 3  # frames without jitter that the smoothing requires
 EXACT_VARIANCE_RAD2 = 1e-8  # variance of rotations without a fault
 MIN_JOINT_MOTION_RAD = 1e-3  # range of a rotation matrix's entries above which a joint counts as moving
@@ -87,7 +87,7 @@ def repair_animation(
     for fault in faults:
         if fault.kind == "jitter":
             _smooth_jitter(repair, fault, is_faulty, moving_joints, rate)
-    is_body_lost = is_lost[:, moving_joints].sum(1) > occluded_joints.MAX_UNOBSERVED_SHARE * len(moving_joints)
+    is_body_lost = is_lost[:, moving_joints].sum(1) > MAX_LOST_SHARE * len(moving_joints)
     _infer_lost_joints(repair, parents, is_lost & ~is_body_lost[:, None], moving_joints, rate, conditioner)
     _interpolate_gaps(repair, parents, is_lost, is_body_lost, rate, conditioner)
     repair.local_rotations[stays_missing[:, :-1]], repair.root_position[stays_missing[:, -1]] = np.nan, np.nan

@@ -4,22 +4,27 @@ The residual consists of the marker's motion relative to its joint and of the er
 without the marker, in the hidden stretches with it. So where the marker is lost its place on the body makes a step, which is
 measured and added to the residual at the edges; and the errors in the hidden stretches are increased by the variance that the
 pose has in the gap beyond that with the marker.
+
+Where no marker shows a limb, the motion prior predicts its pose, too (`PredictedPlacement`). To measure the errors of this, the
+limb is hidden in the stretches and predicted there as well.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from mocapfix.fill.edge_interpolation import fill_with_splines
-from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, MarkerEstimate, MarkersInTake, MovingAxes
+from mocapfix.fill.gap_windows import FillMethod, Gap, GapEstimate, GapWindow, MarkerEstimate, MarkersInTake, MovingAxes
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.take import SAMPLE_NOISE_M
 from mocapfix.solve import kinematics
+from mocapfix.solve.occluded_joints import KnownMotion, predict_hidden_joints
+from mocapfix.solve.pose_problem import find_unobserved_joints
 from mocapfix.stats.gaussian_process import estimate_roughness, map_residual
 from mocapfix.stats.rigid_alignment import compute_lengths
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 BODY_RESIDUAL_FADE_S = 0.2  # time scale of the correlation of a marker's residual
 MIN_BODY_RESIDUAL_M = 0.002  # smallest standard deviation of the residual
@@ -30,6 +35,7 @@ BODY_ERROR_RATIO = 1.5
 MAX_EDGE_RESIDUAL_M = 0.05
 """Residual of a sample above which it may be unusable as the edge of a gap; it must also exceed MAX_EDGE_RESIDUAL_RATIO."""
 MAX_EDGE_RESIDUAL_RATIO = 4.0  # the same relative to the marker's median residual
+MAX_PREDICTED_STRETCHES = 4  # in which the motion prior predicts a hidden limb; with 12, composed takes are hardly better
 
 
 class MarkerOnBody(NamedTuple):
@@ -63,17 +69,23 @@ class BodyPlacement:
             self.poses[id(body)] = rotations, kinematics.predict_markers(subject, (motion.root_position, motion.local_rotations))
             self.rows |= {marker: (body, row) for row, marker in enumerate(body.marker_columns.tolist()) if marker >= 0}
 
-    def __call__(self, gap: Gap) -> list[GapEstimate]:
-        if gap.marker not in self.rows:
-            return []
-        if gap.marker not in self.markers:
-            (body, row), path = self.rows[gap.marker], self.take.visible_markers[:, gap.marker]
+    def find_marker(self, marker: int) -> MarkerOnBody:
+        """Return a marker of `rows` on its body."""
+        if marker not in self.markers:
+            (body, row), path = self.rows[marker], self.take.visible_markers[:, marker]
             rotations, places = self.poses[id(body)]
             axes = MovingAxes(rotations[:, body.extended_subject.joints[row]], places[:, row])
-            self.markers[gap.marker] = place_marker(body, row, axes, path, self.rate)
-        on_body, rate = self.markers[gap.marker], self.rate
+            self.markers[marker] = place_marker(body, row, axes, path, self.rate)
+        return self.markers[marker]
+
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        return [self.estimate_gap(self.find_marker(gap.marker), gap.window)[0]] if gap.marker in self.rows else []
+
+    def estimate_gap(self, on_body: MarkerOnBody, window: GapWindow) -> tuple[GapEstimate, Float[np.ndarray, "K S 3"]]:
+        """Return the estimate of a marker in a gap, and the residuals that are estimated in the hidden stretches."""
+        rate = self.rate
         axes, residual = on_body.axes, on_body.residual
-        w = gap.window.keep_known_context(~np.isnan(residual[gap.window.context_frames, 0]))
+        w = window.keep_known_context(~np.isnan(residual[window.context_frames, 0]))
         excess, inside = on_body.pose_excess[w.gap_frames], np.arange(w.length)
         edges = np.concatenate([np.zeros(len(w.before), int), np.full(len(w.after), w.length - 1)])
         beside = np.concatenate([w.before, w.after])
@@ -88,7 +100,8 @@ class BodyPlacement:
         steps = _measure_steps(axes, w.first, w.length)[np.where(edges > 0, 1, 0)]
         context = residual[w.context_frames] - (known / (known + STEP_NOISE_M**2))[:, None] * steps
         position = axes.transform_to_world(gap_map @ context, w.gap_frames)
-        error = hidden_map @ residual[w.hidden_context_frames] - residual[w.hidden_frames]
+        hidden = hidden_map @ residual[w.hidden_context_frames]
+        error = hidden - residual[w.hidden_frames]
         known_count, squares = (~np.isnan(error)).sum((0, 2)), np.nansum(error**2, axis=(0, 2))
         shown = np.maximum(squares / np.maximum(known_count, 1), MIN_BODY_FILL_SD_M**2)
         added = np.maximum(gap_variance[w.points] - hidden_variance, 0.0)
@@ -96,7 +109,64 @@ class BodyPlacement:
         error *= (BODY_ERROR_RATIO * np.sqrt(1 + added / shown))[:, None]
         expected_sd = BODY_ERROR_RATIO * np.sqrt(np.maximum(gap_variance[w.points], MIN_BODY_FILL_SD_M**2))
         evidence = float((shown / (shown + added)).mean())
-        return [GapEstimate(FillMethod.BODY, position, error, expected_sd, evidence=evidence)]
+        return GapEstimate(FillMethod.BODY, position, error, expected_sd, evidence=evidence), hidden
+
+
+Places: TypeAlias = tuple[Float[np.ndarray, "n K 3"], Float[np.ndarray, "n J 3 3"]]  # of markers in m; world rotations of joints
+
+
+class PredictedPlacement(BodyPlacement):
+    """Estimates a marker from its place on the body, of which the motion prior predicts the joints that no marker shows."""
+
+    def __init__(self, take: MarkersInTake) -> None:
+        body = take.body if take.body and take.body.evidence and take.body.has_motion_prior else None
+        super().__init__(take, [body] if body else [])
+        self._latest: tuple[GapWindow | None, dict[int, Places]] = None, {}
+        if body:
+            self.subject, free = body.extended_subject, body.extended_subject.body_model.free_joints
+            is_used = take.is_visible[:, body.marker_columns] & (body.marker_columns >= 0)
+            is_hidden = find_unobserved_joints(is_used, self.subject, free)
+            parts = body.motion.root_position, body.motion.local_rotations, np.zeros(is_hidden.shape), is_hidden
+            self.motion = KnownMotion(*parts, np.flatnonzero(free)[1:], take.rate)
+
+    def __call__(self, gap: Gap) -> list[GapEstimate]:
+        w = gap.window
+        if gap.marker in self.rows and self._latest[0] is not w:
+            self._latest = w, self.predict_places(w)
+        if gap.marker not in self.rows or not self._latest[1]:
+            return []
+        on_body, row = self.find_marker(gap.marker), self.rows[gap.marker][1]
+        joint, axes = self.subject.joints[row], MovingAxes(*(each.copy() for each in on_body.axes))
+        places, rotations = self._latest[1][-1]
+        axes.origin[w.gap_frames], axes.rotation_world_axes[w.gap_frames] = places[:, row], rotations[:, joint]
+        estimate, residual = self.estimate_gap(on_body._replace(axes=axes), w)
+        error = np.full(residual.shape, np.nan)
+        for k, (places, rotations) in self._latest[1].items():
+            if k >= 0:
+                placed = places[:, row] + np.einsum("sab,sb->sa", rotations[:, joint], residual[k])
+                error[k] = BODY_ERROR_RATIO * (placed - self.take.visible_markers[w.hidden_frames[k], gap.marker])
+        return [estimate._replace(error=error, evidence=1.0)]
+
+    def predict_places(self, window: GapWindow) -> dict[int, Places]:
+        """Return the places in a gap by the number -1, and those at the points of hidden stretches by theirs.
+
+        None for a gap in which no joint is hidden, or predicted.
+        """
+        w, motion, placed = window, self.motion, dict[int, Places]()
+        joints = np.flatnonzero(motion.is_unobserved[w.gap_frames].all(0))
+        tree, size_ratio = kinematics.build_kinematic_tree(self.subject.skeleton), self.subject.skeleton.size_ratio
+        for k in [-1, *sample_evenly(len(w.starts), MAX_PREDICTED_STRETCHES).tolist()] if len(joints) else []:
+            points = np.arange(w.length) if k < 0 else w.hidden_points
+            frames = w.gap_frames if k < 0 else w.starts[k] + np.arange(w.hidden_length)
+            is_comparable = k < 0 or not motion.is_unobserved[np.ix_(frames, joints)].any()
+            prediction = predict_hidden_joints(motion, frames, joints, size_ratio) if is_comparable else None
+            if prediction:
+                pose = motion.root_position[frames[points]], motion.local_rotations[frames[points]]
+                pose[1][:, joints] = prediction.rotations[points]
+                placed[k] = kinematics.predict_markers(self.subject, pose), kinematics.compute_tree_poses(tree, *pose)[1]
+            elif k < 0:
+                break
+        return placed
 
 
 def place_marker(body: BodyFit, row: int, axes: MovingAxes, path: Float[np.ndarray, "T 3"], rate: float) -> MarkerOnBody:

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
-from mocapfix.fill.body_fill import BodyPlacement, estimate_preview
+from mocapfix.fill.body_fill import BodyPlacement, PredictedPlacement, estimate_preview
 from mocapfix.fill.edge_interpolation import WorldInterpolation, fill_with_splines
 from mocapfix.fill.gap_windows import (
     MIN_FILL_SD_M,
@@ -66,7 +66,7 @@ ESTIMATORS: tuple[Callable[[MarkersInTake], Estimator], ...] = (
     BodyPlacement,
     RigidGroupPlacement,
 )
-LATER_ESTIMATORS: tuple[Callable[[MarkersInTake], Estimator], ...] = (MarkerProcesses,)
+LATER_ESTIMATORS: tuple[Callable[[MarkersInTake], Estimator], ...] = (MarkerProcesses, PredictedPlacement)
 
 MAX_VARIATION_FRAMES = 100  # frames that show how much a marker varies in the axes of a cluster
 MAX_LONE_SPLINE_GAP_S = 0.5  # duration of the longest gap that is filled by a spline alone

@@ -140,10 +140,7 @@ def fill_take(
         gap_durations_s: the duration of the gap of each sample, as `compute_gap_durations` returns it for the whole take.
         ends: the samples before a marker is first measured and after it is last measured, as `find_ends` returns them for the
             whole take.
-        body: the solved body, None without one.
-        options: what may be edited and how certain an estimate must be.
         rigid_groups: groups of the take's markers that are rigid and not on the body.
-        hands: the solved hands, as bodies that carry the finger markers.
         alternatives: how a reviewer wants some samples to be filled; lists that differ in their methods only.
 
     Yields:

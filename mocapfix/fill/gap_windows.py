@@ -260,8 +260,6 @@ def choose_hidden_stretches(
 
     Args:
         is_usable: Frames in which all markers are visible that the gap hides.
-        last: Last frame of the gap, inclusive.
-        rate: Frame rate in Hz.
     """
     length, reach = last - first + 1, max(1, round(EDGE_CONTEXT_S * rate))
     before = -1 - find_adjacent_samples(is_usable[max(0, first - reach) : first][::-1])[::-1]
@@ -385,8 +383,6 @@ def choose_similar_stretches(
     Args:
         paths: Metres, NaN if not visible.
         is_usable: Frames in which all of them are visible.
-        last: Last frame of the gap, inclusive.
-        rate: Frame rate in Hz.
     """
     if last - first >= MAX_COMPARED_GAP_S * rate:
         return choose_hidden_stretches(is_usable, first, last, rate)

@@ -44,6 +44,7 @@ class BodyFit(SubjectInTake):
     marker_positions: Float[np.ndarray, "T K 3"]  # metres: where the body carries its markers
     evidence: PoseEvidence | None
     remembered: tuple[RememberedGap, ...] = ()
+    has_motion_prior: bool = False  # whether the motion prior may predict limbs that no marker shows
 
     @property
     def solved_joint_positions(self) -> Float[np.ndarray, "T J 3"]:

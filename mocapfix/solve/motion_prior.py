@@ -3,14 +3,10 @@
 The network (Oreshkin et al. 2022, the delta-interpolator) is given the motion in `TOKEN_COUNT` moments: at increasing distances
 before the gap, evenly inside it, and at increasing distances after it. Missing rotations are interpolated along the shortest arc
 between the nearest known moments, the root position linearly; the network predicts the difference from this interpolation inside
-the gap. Positions and directions are relative to the root in the middle of the gap, without its heading. It is trained by
-`mocapfix.lab.motion_training` and evaluated here with numpy, in a few milliseconds for a gap of any body with the 31 joints.
+the gap. Positions and directions are relative to the root in the middle of the gap, without its heading.
 
 Rotations are unit quaternions (x, y, z, w) in single precision, for the free joints of the 31-joint skeleton with the root first.
 The clavicles do not turn: the arms have their rotation as well.
-
-A prediction and another estimate of the same joints are weighted by their precisions. Their errors are correlated, because both
-continue the motion on either side; so the variance decreases less than for independent estimates.
 """
 
 from dataclasses import dataclass

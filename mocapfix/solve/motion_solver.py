@@ -5,13 +5,8 @@ interpolated at first, which is all that detection needs. `complete_body` infers
 of the body they cost nothing that a marker shows, so the other joints keep their poses.
 
 `compute_pose_sd` gives the standard deviations of joints and markers, from the posterior covariance of the poses. The solver
-weights its terms for robustness; the error of its result is computed from the same curvature with the actual uncertainty of each:
-
-- markers: estimated from their distances to the solved body (`estimate_marker_sd`), corrected for what the poses absorbed;
-- the pose prior: applied in every frame, for joints more firmly about locked axes (joint limits stay as in the solve);
-- joints that lost a marker: the variance of their interpolated trajectory at this distance from the edge of the gap;
-- joints that are not solved, as in the fingers: the variation of people's poses;
-- the calibration error, which no frame shows: taken from the subject.
+weights its terms for robustness; the error of its result is computed from the same curvature with the actual uncertainty of each
+term, and that of the calibration and of joints that are not solved.
 """
 
 from collections.abc import Sequence
@@ -31,7 +26,7 @@ from mocapfix.solve.initial_motion import PoseStart
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.solve.measured_segments import yield_to_markers
-from mocapfix.solve.motion_prior import GapContext, combine_rotations, predict_shipped_gap
+from mocapfix.solve.motion_prior import combine_rotations
 from mocapfix.solve.occluded_joints import KnownMotion
 from mocapfix.solve.person_memory import PersonMemory
 from mocapfix.solve.pose_problem import (
@@ -317,7 +312,8 @@ def complete_body(
     if conditioner:
         motion = add_motion_prior(problem, motion, evidence)
     status = classify_frames(motion, body.extended_subject, problem.pose_problem.marker_positions)
-    return replace(_build_body_fit(body, replace(motion, status=status), evidence), remembered=tuple(remembered))
+    completed = _build_body_fit(body, replace(motion, status=status), evidence)
+    return replace(completed, remembered=tuple(remembered), has_motion_prior=conditioner is not None)
 
 
 def add_motion_prior(problem: MotionProblem, motion: Motion, evidence: PoseEvidence) -> Motion:
@@ -327,14 +323,14 @@ def add_motion_prior(problem: MotionProblem, motion: Motion, evidence: PoseEvide
     """
     parts, rate, size_ratio = (motion.root_position, motion.local_rotations), problem.rate, problem.subject.skeleton.size_ratio
     joints = np.flatnonzero(problem.pose_problem.tree.free)[1:]
-    has_body = KnownMotion(*parts, evidence.rotation_variance, problem.is_unobserved, joints, rate).has_body[:, None]
+    known = KnownMotion(*parts, evidence.rotation_variance, problem.is_unobserved, joints, rate)
     local_rotations = motion.local_rotations.copy()
-    for gap, lost in group_gaps(problem.is_unobserved & has_body).items():
-        context = GapContext(*parts, has_body & ~problem.is_unobserved, *gap, rate)
-        is_within_body = has_body[max(0, context.first - 1) : context.last + 2].all()  # known poses on both sides
-        if is_within_body and (prediction := predict_shipped_gap(context.crop(), size_ratio)):
-            rotations, variance = (each[context.frames][:, lost] for each in (motion.local_rotations, evidence.rotation_variance))
-            local_rotations[context.frames, lost] = combine_rotations(rotations, variance, prediction.select_joints(lost))[0]
+    for (first, last), lost in group_gaps(problem.is_unobserved & known.has_body[:, None]).items():
+        frames = np.arange(first, last + 1)
+        if prediction := occluded_joints.predict_hidden_joints(known, frames, lost, size_ratio):
+            samples = np.ix_(frames, lost)
+            estimate = motion.local_rotations[samples], evidence.rotation_variance[samples]
+            local_rotations[samples] = combine_rotations(*estimate, prediction)[0]
     if (local_rotations == motion.local_rotations).all():
         return motion
     inferred = replace(motion, local_rotations=local_rotations)
@@ -366,7 +362,8 @@ def apply_prior(body: BodyFit, held_joints: Sequence[str], conditioner: PriorCon
     changes = inferred.root_position - before[0], before[1].swapaxes(-1, -2) @ inferred.local_rotations
     step, turn = kinematics.interpolate_poses(changes, frames, motion.frame_count)
     motion = replace(motion, root_position=poses[0] + step, local_rotations=poses[1] @ turn)
-    return replace(_build_body_fit(body, motion, body.evidence), remembered=body.remembered)
+    result = _build_body_fit(body, motion, body.evidence)
+    return replace(result, remembered=body.remembered, has_motion_prior=body.has_motion_prior)
 
 
 def _build_body_fit(subject: SubjectInTake, motion: Motion, evidence: PoseEvidence | None) -> BodyFit:

@@ -4,19 +4,16 @@ A Gaussian process over the take (`stats.gaussian_process`) is given the joints'
 near the gap and sparsely farther away, and predicts those in the gap. Its variance depends on how near or similar the known
 frames are. Similar frames have similar state features: the rotations and angular velocities of the other joints, and the height,
 up direction, velocity and angular velocity of the root. The units and covariances of these features minimise the error on CMU's
-training subjects with arms and legs occluded for 0.5 to 2 s. Individual length scales for each part of the body, an additional
-slow trend in time, and a similarity that decays with time improved it by less than 2 %.
+training subjects with arms and legs occluded for 0.5 to 2 s.
 
 If the variance is large, a trained pose model is used too (kriging with external drift). It predicts the occluded joints from the
 visible ones in the gap, and also in the known frames, as if the limb were occluded there too; its errors in those frames are
 expected in the gap as well. Only its innovation, what it predicts in the gap beyond the take's own prediction, is added in
-proportion to the uncertainty. Used in this way, a model improves gaps of several seconds and does not degrade shorter ones; as
-another tracking term of the poses it increased the error of every gap.
+proportion to the uncertainty; as another tracking term of the poses a model increased the error of every gap.
 
 With the memory of the person (`solve.person_memory`) poses of other takes are further training frames of the same process. Two
-frames are then similar if the body moves alike for a while about them: so a gesture is told from others that pass through the
-same pose. Each take has an offset of its own. Beside that of the process these frames get the variance with which limbs that are
-hidden elsewhere in the take are predicted best. If they are predicted best without the memory, it is not used.
+frames are then similar if the body moves alike for a while about them. Each take has an offset of its own. These frames get the
+variance with which limbs that are hidden elsewhere in the take are predicted best, or are not used.
 
 Last, if the conditioner has a motion prior, as in animations, its prediction is added by its precision (`motion_prior`). In takes
 of markers it is added to the completed motion (`motion_solver.add_motion_prior`).
@@ -31,7 +28,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import lie
 from mocapfix.model.body_fit import RememberedGap
-from mocapfix.solve.motion_prior import GapContext, combine_rotations
+from mocapfix.solve.motion_prior import GapContext, GapPrediction, combine_rotations, predict_shipped_gap
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.person_memory import PersonMemory
 from mocapfix.solve.prior_conditioner import PriorConditioner
@@ -89,7 +86,7 @@ def compute_joint_state_features(
     )
 
 
-MAX_UNOBSERVED_SHARE = 0.5  # of the joints; with more, too little of the body is left to infer the rest from
+MAX_UNOBSERVED_SHARE = 0.75  # of the joints; with more, too little of the body is left to infer the rest from
 MIN_TRAINING_FRAMES = 3  # frames with known rotations that a gap requires
 DEFAULT_ROTATION_POWER_RAD2 = 0.02  # signal power of a joint rotation for which there are no data
 DEFAULT_POWER_FRAMES = 10  # number of frames that this default power is worth in the estimate of the power
@@ -123,6 +120,21 @@ class KnownMotion(NamedTuple):
         """Return the frames from which joints that are occluded in the frames first..last are inferred."""
         used = np.r_[self.find_observed_joints(first, last), occluded]
         return select_training_frames(self.has_body & ~self.is_unobserved[:, used].any(axis=1), first, last, self.rate)
+
+
+def predict_hidden_joints(
+    motion: KnownMotion, frames: Int[np.ndarray, " n"], hidden: Int[np.ndarray, " L"], size_ratio: float
+) -> GapPrediction | None:
+    """Return the motion prior's prediction of joints as if no marker showed them in these frames of a body of this relative size.
+
+    None if it predicts no such gap, or if the body is lost in it or beside it: no known pose then ends the gap.
+    """
+    first, last, has_body = int(frames[0]), int(frames[-1]), motion.has_body[:, None]
+    is_known = has_body & ~motion.is_unobserved
+    is_known[np.ix_(frames, hidden)] = False
+    context = GapContext(motion.root_position, motion.local_rotations, is_known, first, last, motion.rate).crop()
+    prediction = predict_shipped_gap(context, size_ratio) if has_body[max(0, first - 1) : last + 2].all() else None
+    return prediction and prediction.select_joints(hidden)
 
 
 class InferredJoints(NamedTuple):
@@ -174,12 +186,7 @@ def infer_gap_joints(
     """Infer joints that are occluded in the frames first..last.
 
     Args:
-        motion: The motion, in which the joints are unobserved there.
-        first: First frame of the gap.
-        last: Last frame of the gap.
-        occluded: The joints.
         training: The frames from which they are inferred.
-        kernel: Covariance of the rotations.
         conditioner: The trained models, None: they are not used.
         pose_predictions: What the pose model predicts of these joints, by training frame; what is lacking is added.
 

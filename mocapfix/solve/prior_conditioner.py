@@ -1,14 +1,10 @@
 """What a trained pose model adds to the solved poses of a take.
 
 In every frame (`apply_pose_prior`): the poses that are most probable under the model and the markers where the solved body places
-them. Lost markers count like others, so that the pose does not jump where one is lost. The model makes all joints depend on each
-other, while the solver's prior term treats each joint by itself. So the most probable poses are computed in sampled frames, by
-dense Gauss-Newton steps in which the code is eliminated. Each joint gets the mean and the information with which the prior term
-has the model's gradient at these poses, and the curvature that the model has for the joint if the others are given. The minimum
-of the solver's cost is then that of the cost with the model.
-
-Unlike the mean pose, the model has its full weight in every frame. Its errors persist from frame to frame, but so do those of
-markers about their places on the skin, and it does not attract a person to the pose of others.
+them. The model makes all joints depend on each other, while the solver's prior term treats each joint by itself. So the most
+probable poses are computed in sampled frames, by dense Gauss-Newton steps in which the code is eliminated. Each joint gets the
+mean and the information with which the prior term has the model's gradient at these poses, and the curvature that the model has
+for the joint if the others are given. The minimum of the solver's cost is then that of the cost with the model.
 
 For joints that no marker shows (`PriorConditioner`): what the model predicts from the observed joints. The code is estimated by
 least squares from the tilt of the root and the observed joints. Code dimensions in which the decoder is linear have the same

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from mocapfix.fill.body_fill import BODY_ERROR_RATIO, BodyPlacement, estimate_preview
+from mocapfix.fill.body_fill import BODY_ERROR_RATIO, BodyPlacement, PredictedPlacement, estimate_preview
 from mocapfix.model.body_fit import BodyFit
+from mocapfix.model.motion import PoseEvidence
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
+from mocapfix.stats.rigid_alignment import compute_rotations
 from mocapfix.synthetic import compose_take
 from tests.fill.gap_examples import build_gap, build_take
 
 RATE = 60.0
+ARM_LABELS = ("LWRA", "LWRB", "LFIN", "LFRM", "LELB", "LUPA")
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +129,41 @@ def test_preview_carries_the_residual_across_a_gap_and_leaves_segments_that_no_m
     np.testing.assert_allclose(position[is_lost[:, marker], marker], markers[is_lost[:, marker], marker], atol=1e-9)
     assert (sd[is_lost[:, marker], marker] > 0).all()
     assert np.isnan(position[100:200, unseen]).all()
+
+
+def predict(scene, first, lost_labels=ARM_LABELS, *, has_motion_prior=True, turned_rad=0.0):
+    """Return the estimator and the gap of a wrist from a frame on in which an arm is lost, its joints turned by an angle."""
+    subject, motion, on_body, _ = scene
+    lost, frames = [subject.labels.index(label) for label in lost_labels], slice(first, first + 30)
+    damaged, local_rotations = on_body.copy(), motion.local_rotations.copy()
+    damaged[frames, lost] = np.nan
+    hidden = np.unique(subject.joints[lost])
+    local_rotations[frames, hidden] @= compute_rotations(np.array([turned_rad, 0.0, 0.0]))
+    body = build_body(scene, damaged, replace(motion, local_rotations=local_rotations))
+    nothing = np.zeros((len(damaged), 1))
+    evidence = PoseEvidence(nothing, nothing, nothing, nothing[:, 0])
+    take = build_take(damaged, rate=RATE, body=replace(body, evidence=evidence, has_motion_prior=has_motion_prior))
+    return PredictedPlacement(take), build_gap(take, lost[0], first, first + 29)
+
+
+def test_motion_prior_is_tried_in_hidden_stretches_as_in_the_gap(scene):
+    estimator, gap = predict(scene, 40)
+    [estimate] = estimator(gap)
+    assert np.linalg.norm(estimate.position - scene[2][gap.window.gap_frames, gap.marker], axis=1).max() > 0.001
+    elsewhere, there = predict(scene, int(gap.window.starts[-1]))
+    [expected] = elsewhere(there)
+    truth = scene[2][there.window.gap_frames, gap.marker]
+    error = (expected.position - truth)[there.window.points]
+    np.testing.assert_allclose(estimate.error[-1], BODY_ERROR_RATIO * error, atol=1e-6)
+    assert np.isnan(estimate.error).any((1, 2)).sum() == len(estimate.error) - 4
+
+
+def test_what_else_is_known_of_hidden_joints_does_not_matter_to_the_motion_prior(scene):
+    (estimator, gap), (turned, same) = predict(scene, 40), predict(scene, 40, turned_rad=0.5)
+    np.testing.assert_allclose(turned(same)[0].position, estimator(gap)[0].position, atol=1e-9)
+
+
+@pytest.mark.parametrize("fields", [{"has_motion_prior": False}, {"lost_labels": ARM_LABELS[:1]}])
+def test_motion_prior_estimates_hidden_limbs_only(scene, fields):
+    estimator, gap = predict(scene, 40, **fields)
+    assert estimator(gap) == []

@@ -12,7 +12,7 @@ from mocapfix.model.motion import PoseEvidence
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
-from mocapfix.solve import kinematics, mean_pose, motion_solver, pose_problem, prior_conditioner
+from mocapfix.solve import kinematics, mean_pose, motion_solver, occluded_joints, pose_problem, prior_conditioner
 from mocapfix.solve.motion_prior import GapPrediction
 from mocapfix.solve.pose_prior import GaussianModel
 from mocapfix.solve.prior_conditioner import PriorConditioner, apply_pose_prior
@@ -173,7 +173,7 @@ def test_lost_limbs_have_the_motion_prior(monkeypatch):
         variance = np.full(rotations.shape[:2], 0.02)
         return GapPrediction(rotations, variance, context.root_position[context.frames], np.ones(len(rotations)))
 
-    monkeypatch.setattr(motion_solver, "predict_shipped_gap", predict)
+    monkeypatch.setattr(occluded_joints, "predict_shipped_gap", predict)
     found = motion_solver.add_motion_prior(problem, motion, evidence)
     turned = Rotation.from_matrix((truth.motion.local_rotations.swapaxes(-1, -2) @ found.local_rotations).reshape(-1, 3, 3))
     error_rad = turned.magnitude().reshape(frame_count, JOINTS)
@@ -209,7 +209,7 @@ def test_motion_and_fills_of_lost_limbs_have_the_motion_prior_and_deviations_do_
     truth, subject, path = cleaned.truth, cleaned.result.subject, tmp_path / "lost.c3d"
     path.write_bytes(build_c3d(hide_limbs(truth.marker_positions[:180], truth.subject, ARM), truth.labels))
     with_prior = pipeline.clean(path, subject=subject, prior_scope="lost-limbs")
-    monkeypatch.setattr(motion_solver, "predict_shipped_gap", lambda *_: None)
+    monkeypatch.setattr(occluded_joints, "predict_shipped_gap", lambda *_: None)
     without = pipeline.clean(path, subject=subject, prior_scope="lost-limbs")
     is_filled = (with_prior.take.markers != without.take.markers).any(2)
     assert is_filled.any()
@@ -226,7 +226,7 @@ def test_without_a_prior_no_limb_has_one(cleaned, tmp_path, monkeypatch):
     def refuse(*_):
         raise AssertionError("the motion prior was used")
 
-    monkeypatch.setattr(motion_solver, "predict_shipped_gap", refuse)
+    monkeypatch.setattr(occluded_joints, "predict_shipped_gap", refuse)
     truth, path = cleaned.truth, tmp_path / "lost.c3d"
     path.write_bytes(build_c3d(hide_limbs(truth.marker_positions[:180], truth.subject, ARM), truth.labels))
     pipeline.clean(path, subject=cleaned.result.subject, prior_scope="none")
