@@ -25,7 +25,7 @@ from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.errors import ReadError
 from mocapfix.lab.retargeting import BenchMotion, load_bench_motions
 from mocapfix.robots.load_robot import compile_model, load_robot, may_collide
-from mocapfix.robots.retarget_robot import STANDING, RobotMotion, compose_robot_motion, find_start, retarget_to_robot
+from mocapfix.robots.retarget_robot import RobotMotion, compose_robot_motion, find_start, retarget_to_robot
 from mocapfix.robots.robot_files import OVERLAP_M, build_robot_arrays, compute_limb_directions, measure_robot_motion
 from mocapfix.robots.robot_map import find_robot_map
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets, stand_feet
@@ -34,7 +34,7 @@ from mocapfix.solve.trajectory import ROOT_UNKNOWNS, place_points
 LIMIT_TOLERANCE_RAD = 1e-3  # excess from which a position violates a limit
 DEEP_M, FLOATING_M = 0.010, 0.015  # depth and height from which a sole is in the floor or above it
 FIRST_ITERATIONS, FRAME_ITERATIONS, FRAME_DECREASE = 100, 10, 1e-3  # of mink; relative decrease of the cost that ends a frame
-FRAME_DAMPING = 1e-3  # of joint steps in mink, far below the weights of the targets
+FRAME_DAMPING, FRAME_STANDING_SD_M = 1e-3, 3e-4  # of joint steps; of standing soles: daqp fails with smaller ones
 
 Row = dict[str, Any]
 
@@ -82,7 +82,7 @@ def measure_robot(path: Path, performed: BenchMotion) -> list[Row]:
     rows = [{"program": "mocapfix"} | measure_figures(body, model, targets, moved, spent_s)]
     if importlib.util.find_spec("mink") is not None and not robot.couplings:
         edges, _ = place_points(body.tree, moved.references, moved.unknowns, body.edge_links, body.edge_offsets)
-        standing, start_s = stand_feet(body, targets, edges, STANDING[-1][0]), time.process_time()
+        standing, start_s = stand_feet(body, targets, edges, FRAME_STANDING_SD_M), time.process_time()
         by_frame = retarget_by_mink(body, model, standing)
         rows.append({"program": "mink"} | measure_figures(body, model, targets, by_frame, time.process_time() - start_s))
     return [{"robot": robot.name, "take": performed.name} | row for row in rows]

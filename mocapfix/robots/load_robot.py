@@ -61,6 +61,7 @@ def load_robot(path: str | Path) -> Robot:
         speeds,
         _list_couplings(model, joints, path),
         _build_collision(model, index),
+        _list_outlines(model, index),
         (*notes, *([speed_note] if speed_note else [])),
     )
 
@@ -75,7 +76,7 @@ def compile_model(path: Path) -> tuple[Any, list[str]]:
     try:
         is_urdf = ElementTree.parse(path).getroot().tag == "robot"
         spec: Any = mujoco.MjSpec.from_file(str(path))
-        spec.compiler.fusestatic = False
+        spec.compiler.fusestatic, spec.compiler.balanceinertia = False, True
         spec.compiler.boundmass = spec.compiler.boundinertia = SMALLEST_MASS
         bodies = spec.worldbody.bodies
         if bodies and (is_urdf or not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)):
@@ -85,9 +86,8 @@ def compile_model(path: Path) -> tuple[Any, list[str]]:
         except ValueError as error:
             if "mesh" not in str(error).lower() and "file" not in str(error).lower():
                 raise
-        for each in (*(geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH), *spec.meshes):
-            spec.delete(each)
-        for each in (*spec.textures, *spec.materials, *spec.skins, *spec.hfields):
+        shapes = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
+        for each in (*shapes, *spec.meshes, *spec.textures, *spec.materials, *spec.skins, *spec.hfields):
             spec.delete(each)
         notes.append("Its meshes are missing: soles and collisions are by the other shapes.")
         return spec.compile(), notes
@@ -148,14 +148,9 @@ def _list_couplings(model: Any, joints: list[int], path: Path) -> tuple[tuple[in
             raise SceneError(
                 f"{path.name}: joint {name} follows another one by a polynomial; only a linear coupling can be used."
             )
-        leader = leader if leader >= 0 else free[0]  # of a joint that is locked: any, by a factor of 0
-        factor = factor if model.eq_obj2id[k] >= 0 else 0.0
-        found[place[follower]] = (
-            place[follower],
-            place[leader],
-            float(zero[follower] + offset - factor * zero[leader]),
-            float(factor),
-        )
+        leader, factor = (leader, factor) if leader >= 0 else (free[0], 0.0)  # of a joint that is locked: any, by a factor of 0
+        offset = float(zero[follower] + offset - factor * zero[leader])
+        found[place[follower]] = place[follower], place[leader], offset, float(factor)
     if any(leader in found for _, leader, _, _ in found.values()):
         raise SceneError(f"{path.name}: a joint follows one that follows another; couple both to the same joint.")
     return tuple(found.values())
@@ -224,6 +219,17 @@ def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
         np.array([each[3] for each in boxes], float).reshape(-1, 3),
         np.array(box_pairs, int).reshape(-1, 2),
     )
+
+
+def _list_outlines(model: Any, index: dict[int, int]) -> tuple[tuple[int, np.ndarray], ...]:
+    """Return links with the corners of their meshes, colliding or not, and with their sites."""
+    found = [(index[int(body)], np.array(model.site_pos[[k]])) for k, body in enumerate(model.site_bodyid) if int(body) in index]
+    for geom in np.flatnonzero(model.geom_type == MESH):
+        if int(model.geom_bodyid[geom]) in index:
+            start, count = model.mesh_vertadr[model.geom_dataid[geom]], model.mesh_vertnum[model.geom_dataid[geom]]
+            corners = model.mesh_vert[start : start + count] @ _convert_quaternions(model.geom_quat[geom]).T
+            found.append((index[int(model.geom_bodyid[geom])], corners + model.geom_pos[geom]))
+    return tuple(found)
 
 
 def may_collide(model: Any, first: int, second: int) -> bool:

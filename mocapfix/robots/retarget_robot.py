@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.repair_methods import make_quaternions_continuous
 from mocapfix.robots.robot import Robot
-from mocapfix.robots.robot_targets import RobotBody, RobotTargets, list_leaders, stand_feet
+from mocapfix.robots.robot_map import list_leaders
+from mocapfix.robots.robot_targets import RobotBody, RobotTargets, stand_feet
 from mocapfix.solve.trajectory import (
     FAR_START_DAMPING,
     ROOT_UNKNOWNS,
@@ -145,7 +146,7 @@ def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " 
     directions, weights = line.directions.copy(), np.zeros(line.weights.shape)
     directions[0, : len(names)] = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
     weights[0, : len(names)] = POSTURE_LINE_SD_RAD**-2
-    turns = np.stack([body.turn_standing(link) for link in rotation.links])[None]
+    turns = np.stack([body.standing.rotations[link] for link in rotation.links])[None]
     terms = HingedTerms(
         frame.place._replace(weights=np.zeros(frame.place.weights.shape)),
         frame.floor._replace(weight=0.0),

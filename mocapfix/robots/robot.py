@@ -60,6 +60,7 @@ class Robot:
     # joints that follow others: follower, leader, offset, factor
     couplings: tuple[tuple[int, int, float, float], ...]
     collision: CollisionPrimitives
+    outline: tuple[tuple[int, Float[np.ndarray, "P 3"]], ...] = ()  # links and corners of their meshes, or their sites, metres
     notes: tuple[str, ...] = ()  # sentences for the report on how the file was read
 
 

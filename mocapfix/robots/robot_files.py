@@ -37,6 +37,7 @@ from mocapfix.model.skeleton import Skeleton, decompose_transforms, make_names_u
 from mocapfix.options import OutputOptions
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
+from mocapfix.robots.robot import LinkPoint
 from mocapfix.robots.robot_map import find_robot_map, read_robot_map, write_robot_map
 from mocapfix.robots.robot_targets import (
     ROBOT_AXES,
@@ -44,8 +45,6 @@ from mocapfix.robots.robot_targets import (
     RobotTargets,
     build_robot_body,
     compute_robot_targets,
-    list_leaders,
-    pose_links,
 )
 from mocapfix.solve.trajectory import compute_hinged_costs, place_points
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors
@@ -232,11 +231,9 @@ def write_robot_pickle(target: Path, motion: RobotMotion) -> None:
 def build_robot_character(body: RobotBody) -> Character:
     """Return a robot as a character in its upright stance, with Y up, and a mesh of its links, collision shapes and soles."""
     robot, links = body.robot, np.arange(len(body.robot.parents))
-    standing = body.map.standing[list_leaders(robot)]
-    soles, _ = pose_links(body.tree, standing, body.corner_links, body.corner_offsets)
-    positions, rotations = pose_links(body.tree, standing, links, np.zeros((len(links), 3)))
-    positions = (positions - [0.0, 0.0, soles[:, 2].min()]) @ ROBOT_AXES
-    offsets, local_rotations = decompose_transforms(positions, ROBOT_AXES.T @ rotations, robot.parents)
+    soles = [body.standing.place(LinkPoint(sole.link, corner)) for sole in body.soles.values() for corner in sole.corners]
+    positions = (body.standing.positions - [0.0, 0.0, np.min(soles, axis=0)[2]]) @ ROBOT_AXES
+    offsets, local_rotations = decompose_transforms(positions, ROBOT_AXES.T @ body.standing.rotations, robot.parents)
     names, no_ends = make_names_unique(robot.link_names), np.full((len(links), 3), np.nan)
     skeleton = Skeleton(names, robot.parents, offsets, no_ends, local_rotations)
     buffer = build_skinned_document(skeleton, robot.parents, _list_shapes(body))

@@ -11,23 +11,21 @@ farthest is the arm.
 - A shin ends at the ankle; a forearm at the wrist, at the last of its joints across it, or where the arm ends.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Literal
 
 import numpy as np
 import yaml
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import Field
 
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.yaml_files import StrictModel, read_yaml_model
 from mocapfix.robots.robot import LIMBS, SIDES, LinkPoint, Robot, RobotMap
-from mocapfix.robots.robot_targets import build_hinged_tree, list_leaders, pose_links
-from mocapfix.solve.trajectory import HingedTree
+from mocapfix.solve.trajectory import ROOT_UNKNOWNS, HingedTree, place_points
 
 MIN_SIDE_M = 0.02  # distance from the middle from which the end of a limb is on a side
 MIN_LATERAL_COSINE = 0.8  # between the axis of a knee and the lateral axis
@@ -36,12 +34,39 @@ MIN_ALONG_COSINE = 0.99  # between a limb and the axis about which it twists, fr
 WRIST_EXTENT_M = 0.05  # largest distance between the joints of one wrist
 MAX_HEEL_SHARE = 0.05  # of twice the length of a sole: so far its middle may be behind the ankle
 MIN_LIMB_M, MIN_SOLE_M2 = 0.01, 1e-4  # smallest length of a limb, and area of a sole times four
+ANKLE_SHARE, SOLE_SHARES = 0.07, (-0.11, 0.21, -0.06, 0.06)
+"""Height of an ankle, heel, front and sides of a sole about it, over the length from hip to ankle: as five robots have them."""
 SOLE_DEPTH_M = 0.008  # height above the lowest point of a foot up to which points belong to the sole
+
+
+def build_hinged_tree(robot: Robot) -> HingedTree:
+    """Return the links and joints as the kernels take them; joints that follow others have their unknowns."""
+    count, place = len(robot.joint_names), {joint: k for k, joint in enumerate(list_leaders(robot).tolist())}
+    followed = {follower: (leader, offset, factor) for follower, leader, offset, factor in robot.couplings}
+    unknowns = np.array([place[followed[joint][0] if joint in followed else joint] for joint in range(count)], int)
+    factors = np.array([followed[joint][2] if joint in followed else 1.0 for joint in range(count)])
+    offsets = np.array([followed[joint][1] if joint in followed else 0.0 for joint in range(count)])
+    first = np.searchsorted(robot.joint_links, np.arange(len(robot.parents) + 1))
+    paths, lengths = np.zeros((len(robot.parents), max(count, 1)), int), np.zeros(len(robot.parents), int)
+    for link, parent in enumerate(robot.parents):
+        joints = [*paths[parent, : lengths[parent]], *range(first[link], first[link + 1])] if parent >= 0 else []
+        paths[link, : len(joints)], lengths[link] = joints, len(joints)
+    arrays = robot.link_positions, robot.link_rotations, robot.joint_axes, robot.joint_anchors
+    positions, rotations, axes, anchors = map(np.ascontiguousarray, arrays)
+    return HingedTree(
+        robot.parents, positions, rotations, first, axes, anchors, robot.is_slide, unknowns, factors,
+        offsets - robot.zero_positions, paths, lengths,
+    )  # fmt: skip
+
+
+def list_leaders(robot: Robot) -> Int[np.ndarray, " U"]:
+    """Return the joint that each unknown is the position of: those that follow no other."""
+    return np.setdiff1d(np.arange(len(robot.joint_names)), [follower for follower, *_ in robot.couplings])
 
 
 @dataclass(frozen=True)
 class StandingRobot:
-    """A robot at zero joint positions, or the nearest within their limits; the root is at the origin and not turned."""
+    """A robot at joint positions; the root is at the origin and not turned."""
 
     robot: Robot
     tree: HingedTree
@@ -90,12 +115,13 @@ class StandingRobot:
         return np.array(points).reshape(-1, 3)
 
 
-def stand_robot(robot: Robot, positions: Mapping[str, float] = MappingProxyType({})) -> StandingRobot:
-    """Return a robot at joint positions by name, others zero, or at the nearest within their limits."""
+def stand_robot(robot: Robot, positions: Float[np.ndarray, " N"]) -> StandingRobot:
+    """Return a robot at joint positions, or at the nearest within their limits."""
     tree, count = build_hinged_tree(robot), len(robot.parents)
-    standing = np.clip([positions.get(name, 0.0) for name in robot.joint_names], *robot.limits.T)
-    placed = pose_links(tree, standing[list_leaders(robot)], np.arange(count), np.zeros((count, 3)))
-    return StandingRobot(robot, tree, standing, *placed)
+    standing = np.clip(positions, *robot.limits.T)
+    unknowns = np.concatenate([np.zeros(ROOT_UNKNOWNS), standing[list_leaders(robot)]])[None]
+    places, rotations = place_points(tree, np.eye(3)[None], unknowns, np.arange(count), np.zeros((count, 3)))
+    return StandingRobot(robot, tree, standing, places[0], rotations[0])
 
 
 def find_robot_map(robot: Robot) -> RobotMap:
@@ -104,14 +130,14 @@ def find_robot_map(robot: Robot) -> RobotMap:
     Raises:
         SceneError: If it has not two legs with knees and two arms with elbows, or does not look along X.
     """
-    body = stand_robot(robot)
+    body = stand_robot(robot, np.zeros(len(robot.joint_names)))
     limbs, neck_joints = _find_limbs(body)
     points: dict[str, tuple[LinkPoint, LinkPoint]] = {}
-    feet, soles, hands = dict[str, int](), dict[str, Float[np.ndarray, "4 3"]](), dict[str, int]()
+    feet, soles, hands, is_usual = dict[str, int](), dict[str, Float[np.ndarray, "4 3"]](), dict[str, int](), False
     for side in SIDES:
         leg, arm = limbs[f"{side}_leg"], limbs[f"{side}_arm"]
         feet[side] = int(robot.joint_links[leg[-1]])
-        soles[side] = _find_sole(body, feet[side])
+        soles[side], is_usual = _find_sole(body, feet[side], leg)
         sole_centre = body.place(LinkPoint(feet[side], soles[side].mean(axis=0)))
         points |= _find_leg(body, side, leg, sole_centre)
         arm_points, hand = _find_arm(body, side, arm)
@@ -122,6 +148,8 @@ def find_robot_map(robot: Robot) -> RobotMap:
     heads = [link for link in robot.joint_links[neck_joints].tolist() if trunk in _list_above(robot, link)]
     head = max(heads, key=lambda link: (round(float(body.positions[link][2]), 3), link), default=trunk)
     reason = "Found by the structure of the robot."
+    if is_usual:
+        reason += " Its feet have no shapes of soles: these are of a usual size; measure them and edit the map."
     found = RobotMap(points, feet, soles, pelvis, trunk, head, hands, body.standing, reason)
     _check_map(body, found, robot.name)
     return found
@@ -277,8 +305,8 @@ def _find_arm(body: StandingRobot, side: str, chain: Sequence[int]) -> tuple[dic
     return limbs, (last_link if wrists else None)
 
 
-def _find_sole(body: StandingRobot, foot: int) -> Float[np.ndarray, "4 3"]:
-    """Return the corners of a rectangle about the lowest points of a foot's shapes."""
+def _find_sole(body: StandingRobot, foot: int, leg: Sequence[int]) -> tuple[Float[np.ndarray, "4 3"], bool]:
+    """Return the corners of a rectangle about the lowest points of a foot's shapes, or of usual size without such, and which."""
     links, collision = body.list_fixed_links(foot), body.robot.collision
     points: list[Float[np.ndarray, " 3"]] = []
     is_box = np.isin(collision.box_links, links)
@@ -293,14 +321,21 @@ def _find_sole(body: StandingRobot, foot: int) -> Float[np.ndarray, "4 3"]:
             place = body.place(LinkPoint(int(collision.links[capsule]), end))
             points.append(place - [0.0, 0.0, collision.radii[capsule]])
     if len(points) < 3:
-        raise SceneError(
-            f"{body.robot.name}: the foot {body.robot.link_names[foot]} has no shapes of a sole; give --character-map with it."
-        )
+        outline = [(link, corners) for link, corners in body.robot.outline if link in links]
+        points = [body.place(LinkPoint(link, corner)) for link, corners in outline for corner in corners]
+    if is_usual := len(points) < 3:
+        ankle, leg_m = body.positions[foot], float(np.linalg.norm(body.positions[foot] - body.find_anchor(leg[0])))
+        lowest = min(float(body.positions[link, 2]) for link in links)
+        lowest = lowest if lowest < ankle[2] - 0.5 * ANKLE_SHARE * leg_m else float(ankle[2]) - ANKLE_SHARE * leg_m
+        bends = [np.clip(body.robot.limits[joint], -np.pi, np.pi).sum() * body.find_axis(joint)[1] for joint in leg]
+        ahead_m = leg_m if max(bends, key=abs) >= 0.0 else -leg_m  # a knee bends backwards
+        shares = [(x, y) for x in SOLE_SHARES[:2] for y in SOLE_SHARES[2:]]
+        points = [np.array([ankle[0] + x * ahead_m, ankle[1] + y * leg_m, lowest]) for x, y in shares]
     found = np.array(points)
     lowest = found[:, 2].min()
     low, high = (choose(found[found[:, 2] < lowest + SOLE_DEPTH_M, :2], axis=0) for choose in (np.min, np.max))
     corners = np.array([(low[0], high[1], lowest), (low[0], low[1], lowest), (*high, lowest), (high[0], low[1], lowest)])
-    return np.array([body.attach(foot, corner).position for corner in corners])
+    return np.array([body.attach(foot, corner).position for corner in corners]), is_usual
 
 
 Side = Literal["left", "right"]
@@ -351,7 +386,7 @@ def read_robot_map(path: Path, robot: Robot) -> RobotMap:
         raise SceneError(f"{path.name}: feet must have {missing[0]}.")
     if unknown := [name for name in content.standing if name not in robot.joint_names]:
         raise SceneError(f"{path.name}: standing: {robot.name} has no joint {unknown[0]}.")
-    body = stand_robot(robot, content.standing)
+    body = stand_robot(robot, np.array([content.standing.get(name, 0.0) for name in robot.joint_names]))
     found = RobotMap(
         {name: (convert(content.limbs[name][0]), convert(content.limbs[name][1])) for name in LIMBS},
         {side: find(content.feet[side].link) for side in SIDES},

@@ -13,8 +13,8 @@ from mocapfix.characters.body_frames import LIMB_AXES, BodyFrame, SegmentMotion
 from mocapfix.characters.kept_positions import level_feet, measure_flat_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, NO_FLOOR, BodyContacts
 from mocapfix.robots.robot import SIDES, LinkPoint, Robot, RobotMap
+from mocapfix.robots.robot_map import StandingRobot, stand_robot
 from mocapfix.solve.trajectory import (
-    ROOT_UNKNOWNS,
     CollisionTerm,
     FloorTerm,
     HingedTerms,
@@ -22,7 +22,6 @@ from mocapfix.solve.trajectory import (
     LineTerm,
     LinkRotationTerm,
     PlaceTerm,
-    place_points,
 )
 from mocapfix.stats.sequences import find_runs
 
@@ -38,40 +37,6 @@ CORNER_SD_M = 0.0015
 COLLISION_DISTANCE_M, COLLISION_SD_M = 0.008, 0.001  # distance that primitives keep, and the standard deviation of a smaller one
 FLOOR_SEARCH_SD_M, COLLISION_SEARCH_SD_M = 0.01, 0.02
 """The same while poses are still far. Without collisions in the search, hands end inside thighs in 2 % of an acrobat's frames."""
-
-
-def build_hinged_tree(robot: Robot) -> HingedTree:
-    """Return the links and joints as the kernels take them; joints that follow others have their unknowns."""
-    count, place = len(robot.joint_names), {joint: k for k, joint in enumerate(list_leaders(robot).tolist())}
-    followed = {follower: (leader, offset, factor) for follower, leader, offset, factor in robot.couplings}
-    unknowns = np.array([place[followed[joint][0] if joint in followed else joint] for joint in range(count)], int)
-    factors = np.array([followed[joint][2] if joint in followed else 1.0 for joint in range(count)])
-    offsets = np.array([followed[joint][1] if joint in followed else 0.0 for joint in range(count)])
-    first = np.searchsorted(robot.joint_links, np.arange(len(robot.parents) + 1))
-    paths, lengths = np.zeros((len(robot.parents), max(count, 1)), int), np.zeros(len(robot.parents), int)
-    for link, parent in enumerate(robot.parents):
-        joints = [*paths[parent, : lengths[parent]], *range(first[link], first[link + 1])] if parent >= 0 else []
-        paths[link, : len(joints)], lengths[link] = joints, len(joints)
-    arrays = robot.link_positions, robot.link_rotations, robot.joint_axes, robot.joint_anchors
-    positions, rotations, axes, anchors = map(np.ascontiguousarray, arrays)
-    return HingedTree(
-        robot.parents, positions, rotations, first, axes, anchors, robot.is_slide, unknowns, factors,
-        offsets - robot.zero_positions, paths, lengths,
-    )  # fmt: skip
-
-
-def list_leaders(robot: Robot) -> Int[np.ndarray, " U"]:
-    """Return the joint that each unknown is the position of: those that follow no other."""
-    return np.setdiff1d(np.arange(len(robot.joint_names)), [follower for follower, *_ in robot.couplings])
-
-
-def pose_links(
-    tree: HingedTree, joints: Float[np.ndarray, " U"], links: Int[np.ndarray, " P"], offsets: Float[np.ndarray, "P 3"]
-) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, "P 3 3"]]:
-    """Return where points are, and the rotations of their links, with the root at the origin and unturned."""
-    unknowns = np.concatenate([np.zeros(ROOT_UNKNOWNS), joints])[None]
-    places, rotations = place_points(tree, np.eye(3)[None], unknowns, links, offsets)
-    return places[0], rotations[0]
 
 
 @dataclass(frozen=True)
@@ -103,6 +68,7 @@ class RobotBody:
     robot: Robot
     map: RobotMap
     tree: HingedTree
+    standing: StandingRobot  # upright
     soles: dict[str, Sole]
 
     @property
@@ -127,21 +93,11 @@ class RobotBody:
     def corner_offsets(self) -> Float[np.ndarray, "8 3"]:
         return np.concatenate([self.soles[side].corners for side in SIDES])
 
-    def measure_standing(self, point: LinkPoint) -> Float[np.ndarray, " 3"]:
-        """Return where a point is in the upright stance, relative to the root, in its axes, in metres."""
-        standing = self.map.standing[list_leaders(self.robot)]
-        return pose_links(self.tree, standing, np.array([point.link]), point.position[None])[0][0]
-
-    def turn_standing(self, link: int) -> Float[np.ndarray, "3 3"]:
-        """Return the rotation of a link in the upright stance, to the root's axes."""
-        standing = self.map.standing[list_leaders(self.robot)]
-        return pose_links(self.tree, standing, np.array([link]), np.zeros((1, 3)))[1][0]
-
     @property
     def leg_length_m(self) -> float:
         """The length of thigh and shin."""
         lengths = [
-            np.linalg.norm(self.measure_standing(far) - self.measure_standing(near))
+            np.linalg.norm(self.standing.place(far) - self.standing.place(near))
             for name, (near, far) in self.map.limbs.items()
             if name.endswith(("thigh", "shin"))
         ]
@@ -150,20 +106,21 @@ class RobotBody:
     @property
     def hip_centre(self) -> Float[np.ndarray, " 3"]:
         """The middle of the hips in the upright stance, relative to the root, in its axes, in metres."""
-        return np.mean([self.measure_standing(self.map.limbs[f"{side}_thigh"][0]) for side in SIDES], axis=0)
+        return np.mean([self.standing.place(self.map.limbs[f"{side}_thigh"][0]) for side in SIDES], axis=0)
 
     @property
     def ankle_height_m(self) -> float:
         """Height of the ends of the shins above flat soles."""
-        ankles = [self.measure_standing(self.map.limbs[f"{side}_shin"][1])[2] for side in self.soles]
-        soles = [self.measure_standing(LinkPoint(sole.link, sole.corners.mean(axis=0)))[2] for sole in self.soles.values()]
+        ankles = [self.standing.place(self.map.limbs[f"{side}_shin"][1])[2] for side in self.soles]
+        soles = [self.standing.place(LinkPoint(sole.link, sole.corners.mean(axis=0)))[2] for sole in self.soles.values()]
         return float(np.mean(ankles) - np.mean(soles))
 
 
 def build_robot_body(robot: Robot, robot_map: RobotMap) -> RobotBody:
     """Return a robot as the solve takes it."""
     soles = {side: Sole(robot_map.feet[side], robot_map.soles[side]) for side in SIDES}
-    return RobotBody(robot, robot_map, build_hinged_tree(robot), soles)
+    standing = stand_robot(robot, robot_map.standing)
+    return RobotBody(robot, robot_map, standing.tree, standing, soles)
 
 
 @dataclass(frozen=True)
@@ -233,12 +190,17 @@ def compute_robot_targets(
         for end, joint in enumerate(joints)
     }
     pelvis = _convert_rotations(motion.rotation["pelvis"])
+    each = body.robot.collision
+    collision = CollisionTerm(
+        each.links, each.ends, each.radii, each.pairs, each.box_links, each.box_centres, each.box_rotations, each.box_halves,
+        each.box_pairs, COLLISION_DISTANCE_M, COLLISION_SD_M**-2,
+    )  # fmt: skip
     terms = HingedTerms(
         _build_place_term(body, path),
         _build_floor_term(body),
         _build_line_term(body, motion, count),
         _build_rotation_term(body, motion, count),
-        _build_collision_term(body.robot),
+        collision,
     )
     return RobotTargets(terms, rate, path, pelvis, runs, scale * np.stack(levels, axis=1))
 
@@ -250,8 +212,8 @@ def _convert_rotations(rotation: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray
 
 def _build_place_term(body: RobotBody, path: Float[np.ndarray, "T 3"]) -> PlaceTerm:
     """Return the path of the hips, and then the edges and the corners of the soles, which stand nowhere yet."""
-    turn, links = body.turn_standing(body.map.pelvis), np.array([body.map.pelvis, *body.edge_links, *body.corner_links])
-    centre = turn.T @ (body.hip_centre - body.measure_standing(LinkPoint(body.map.pelvis, np.zeros(3))))
+    turn, links = body.standing.rotations[body.map.pelvis], np.array([body.map.pelvis, *body.edge_links, *body.corner_links])
+    centre = turn.T @ (body.hip_centre - body.standing.place(LinkPoint(body.map.pelvis, np.zeros(3))))
     offsets = np.concatenate([centre[None], body.edge_offsets, body.corner_offsets])
     places, weights = np.zeros((2, len(path), len(links), 3))
     places[:, 0], weights[:, 0] = path, np.array(PATH_SD_M) ** -2
@@ -267,8 +229,8 @@ def _build_line_term(body: RobotBody, motion: SegmentMotion, count: int) -> Line
         offsets.append((near.position, far.position))
         segments.append(segment)
     for side, link in body.map.hands.items():  # a hand points along the forearm in the upright stance
-        near, far = (body.measure_standing(point) for point in body.map.limbs[f"{side}_forearm"])
-        along = body.turn_standing(link).T @ (far - near)
+        near, far = (body.standing.place(point) for point in body.map.limbs[f"{side}_forearm"])
+        along = body.standing.rotations[link].T @ (far - near)
         links.append((link, link))
         offsets.append((np.zeros(3), along / np.linalg.norm(along)))
         segments.append(f"{side}_hand")
@@ -283,7 +245,9 @@ def _build_rotation_term(body: RobotBody, motion: SegmentMotion, count: int) -> 
     if body.map.head == body.map.trunk:
         del links["head"]
     segments = {"pelvis": "pelvis", "trunk": "chest", "head": "head"}
-    rotations = [_convert_rotations(motion.rotation[segments[part]]) @ body.turn_standing(link) for part, link in links.items()]
+    rotations = [
+        _convert_rotations(motion.rotation[segments[part]]) @ body.standing.rotations[link] for part, link in links.items()
+    ]
     sd = [ROTATION_SD_RAD[part] for part in links]
     for side, sole in body.soles.items():
         rotations.append(_convert_rotations(motion.rotation[f"{side}_foot"]) @ sole.axes.T)
@@ -300,14 +264,6 @@ def _build_floor_term(body: RobotBody) -> FloorTerm:
     offsets = np.concatenate([body.corner_offsets, each.ends[is_body].reshape(-1, 3)])
     heights = np.concatenate([np.zeros(len(body.corner_links)), np.repeat(each.radii[is_body], 2)])
     return FloorTerm(links, offsets, heights, FLOOR_SD_M**-2)
-
-
-def _build_collision_term(robot: Robot) -> CollisionTerm:
-    each = robot.collision
-    return CollisionTerm(
-        each.links, each.ends, each.radii, each.pairs, each.box_links, each.box_centres, each.box_rotations, each.box_halves,
-        each.box_pairs, COLLISION_DISTANCE_M, COLLISION_SD_M**-2,
-    )  # fmt: skip
 
 
 def stand_feet(body: RobotBody, targets: RobotTargets, edges: Float[np.ndarray, "T 4 3"], standing_sd_m: float) -> RobotTargets:

@@ -6,7 +6,7 @@ import pytest
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.robot import Robot
-from mocapfix.robots.robot_targets import build_hinged_tree, list_leaders
+from mocapfix.robots.robot_map import build_hinged_tree, list_leaders
 from mocapfix.solve.trajectory import place_points
 from tests.robots.humanoid import SPEED_LIMITS, build_mjcf, build_urdf, list_parts
 

@@ -39,7 +39,7 @@ def load(folder, **changes):
 def test_body_is_found_in_humanoids_with_other_joints(tmp_path, name):
     changes = VARIANTS[name]
     robot = load(tmp_path, **changes)
-    found, body = find_robot_map(robot), stand_robot(robot)
+    found, body = find_robot_map(robot), stand_robot(robot, np.zeros(len(robot.joint_names)))
     names = robot.link_names
     has_waist = changes.get("waist", True)
     assert names[found.pelvis] == "pelvis"
@@ -115,11 +115,9 @@ def test_robots_without_arms_or_that_look_elsewhere_are_refused(tmp_path):
         part._replace(shape=("box", (-0.04, 0, -0.05), (0.11, 0.045, 0.02))) if part.name.endswith("foot") else part
         for part in parts
     ]
-    bare = [part._replace(shape=None) if part.name == "left_foot" else part for part in parts]
     for changed, message in (
         (legs, "found no arm and leg on the left"),
         ([part for part in parts if "right" not in part.name], "found no arm and leg on the right"),
-        (bare, "the foot left_foot has no shapes of a sole"),
         (behind, "foot must point along X"),
     ):
         path = tmp_path / "own.xml"
@@ -128,13 +126,28 @@ def test_robots_without_arms_or_that_look_elsewhere_are_refused(tmp_path):
             find_robot_map(load_robot(path))
 
 
+def test_feet_without_shapes_have_soles_of_usual_size(tmp_path):
+    """The soles are below the ankles and ahead of them, and the reason says so."""
+    path = tmp_path / "own.xml"
+    bare = [part._replace(shape=None) if part.name.endswith("foot") else part for part in list_parts()]
+    path.write_text(build_mjcf(bare), encoding="utf-8")
+    robot = load_robot(path)
+    found = find_robot_map(robot)
+    leg_m = LENGTHS["thigh"] + LENGTHS["shin"]
+    for side in SIDES:
+        np.testing.assert_allclose(found.soles[side][:, 2], -0.07 * leg_m, atol=1e-6)
+        np.testing.assert_allclose(np.ptp(found.soles[side], axis=0)[:2], [0.32 * leg_m, 0.12 * leg_m], atol=1e-6)
+        assert found.soles[side][:, 0].mean() > 0
+    assert "these are of a usual size" in found.reason
+
+
 @needs_robots
 @pytest.mark.parametrize("folder", ["unitree_g1", "booster_t1", "fourier_n1", "engineai_pm01", "unitree_h1"])
 def test_bodies_of_real_robots_are_as_set_by_hand(folder):
     name = folder.split("_")[-1]
     robot = load_robot(ROBOTS / folder / f"{name}.xml")
     expected = yaml.safe_load((ROBOTS / folder / f"{name}.yaml").read_text(encoding="utf-8"))
-    found, body = find_robot_map(robot), stand_robot(robot)
+    found, body = find_robot_map(robot), stand_robot(robot, np.zeros(len(robot.joint_names)))
 
     def place(point) -> np.ndarray:
         link, *position = [point, 0, 0, 0] if isinstance(point, str) else point
