@@ -90,6 +90,11 @@ class RobotMotion:
         return self.link_positions[:, 0]
 
     @property
+    def mass_centres(self) -> Float[np.ndarray, "T L 3"]:
+        """The centres of mass of the links in the world, metres."""
+        return self.link_positions + np.einsum("tlij,lj->tli", self.link_rotations, self.robot.mass_centres)
+
+    @property
     def joint_velocities(self) -> Float[np.ndarray, "T N"]:
         """Central differences, per second; of a single frame 0."""
         return differentiate(self.joint_positions, self.rate)

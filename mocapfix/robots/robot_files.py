@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animations.repair_methods import make_quaternions_continuous
-from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
+from mocapfix.characters.body_frames import BodyFrame, SegmentMotion, build_body_frame, compute_segment_motion
 from mocapfix.characters.character import (
     BoneMapping,
     Character,
@@ -37,8 +37,8 @@ from mocapfix.model.skeleton import Skeleton, decompose_transforms, make_names_u
 from mocapfix.options import OutputOptions
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
-from mocapfix.robots.robot import LinkPoint
-from mocapfix.robots.robot_map import find_robot_map, read_robot_map, write_robot_map
+from mocapfix.robots.robot import SIDES, LinkPoint
+from mocapfix.robots.robot_map import SOLE_SHARES, find_robot_map, read_robot_map, write_robot_map
 from mocapfix.robots.robot_targets import (
     ROBOT_AXES,
     RobotBody,
@@ -52,6 +52,14 @@ from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 AT_LIMIT_RAD = 0.005  # distance from a limit within which a joint counts as at it
 ON_FLOOR_M = 0.015  # height up to which the lowest corner of the soles is on the floor
 OVERLAP_M = 0.005  # depth from which parts that overlap count as colliding
+LIMB_MASSES = {
+    ("upper_arm", "forearm"): (0.028, 0.436),
+    ("forearm", "hand"): (0.022, 0.682),
+    ("thigh", "shin"): (0.1, 0.433),
+    ("shin", "foot"): (0.061, 0.606),
+}
+"""Shares of a person's mass in limbs (forearms with hands, shins with feet), and where their centres are between two joints."""
+TRUNK_CENTRE = 0.66  # where that of the rest is, between hips and shoulders; both from Winter 2009, table 4.1
 EXTRA_SUFFIXES = {"robot-csv": ("csv", "columns.json"), "robot-pkl": ("pkl",)}
 
 
@@ -101,7 +109,8 @@ class RobotFiles:
             write_robot_pickle(target.with_suffix(".pkl"), moved)
         scale = self.body.leg_length_m / source.leg_length_m
         origin = " ".join([self.body.map.reason, *self.body.robot.notes, f"Places are scaled by {scale:.3f}, as the legs are."])
-        return [f"{target.name}: {each}" for each in (origin, figures.describe())], convert_robot_motion(moved)
+        balance = "" if feet is None else describe_balance(self.body, moved, source, segments, feet, frames)
+        return [f"{target.name}: {each}" for each in (origin, figures.describe() + balance)], convert_robot_motion(moved)
 
 
 def load_robot_files(path: Path, options: OutputOptions) -> RobotFiles:
@@ -155,6 +164,51 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
     )
 
 
+def describe_balance(
+    body: RobotBody, moved: RobotMotion, source: BodyFrame, segments: SegmentMotion, contacts: BodyContacts, frames: slice
+) -> str:
+    """Return a sentence on the balance of a robot in some `frames`, and of the performer, whose soles have usual sizes."""
+    edges = contacts.select_feet(frames).is_contact
+    if not (is_flat := (edges[:, ::2] & edges[:, 1::2]).any(axis=1)).any():
+        return ""
+    corners, _ = place_points(body.tree, moved.references, moved.unknowns, body.corner_links, body.corner_offsets)
+    centre = np.average(moved.mass_centres, axis=1, weights=body.robot.masses)
+    share = find_outside(centre[:, :2], corners[..., :2], edges)[is_flat].mean()
+    sole = source.leg_length_m * np.array([(y, 0.0, x) for x in SOLE_SHARES[:2] for y in SOLE_SHARES[2:]])
+    corners = np.stack([segments.carry(f"{side}_foot", corner) for side in SIDES for corner in sole], axis=1)[frames]
+    other = find_outside(compute_mass_centre(segments)[frames][:, ::2], corners[..., ::2], edges)[is_flat].mean()
+    return (
+        f" While a foot stands flat, the centre of mass is outside of the standing soles in {share:.0%} of the frames, "
+        f"the performer's in {other:.0%}."
+    )
+
+
+def compute_mass_centre(segments: SegmentMotion) -> Float[np.ndarray, "T 3"]:
+    """Return a person's centre of mass by mean shares of segments, in metres."""
+    hips, shoulders = (np.mean([segments.position[f"{s}_{each}"] for s in SIDES], axis=0) for each in ("thigh", "upper_arm"))
+    total = (1.0 - 2.0 * sum(mass for mass, _ in LIMB_MASSES.values())) * (hips + TRUNK_CENTRE * (shoulders - hips))
+    for (near, far), (mass, share) in LIMB_MASSES.items():
+        for side in SIDES:
+            start, end = segments.position[f"{side}_{near}"], segments.position[f"{side}_{far}"]
+            total = total + mass * (start + share * (end - start))
+    return total
+
+
+def find_outside(
+    centres: Float[np.ndarray, "T 2"], corners: Float[np.ndarray, "T 8 2"], is_contact: Bool[np.ndarray, "T 4"]
+) -> Bool[np.ndarray, " T"]:
+    """Return where points on the floor are outside of the hull of the corners of edges in contact; True without such edges.
+
+    It is outside where the directions to the corners leave more than half a turn free. Edges are in the order of
+    `RobotBody.edge_links`, corners in that of `RobotBody.corner_links`.
+    """
+    lines = corners - centres[:, None]
+    turns = np.where(np.repeat(is_contact, 2, axis=1), np.arctan2(lines[..., 1], lines[..., 0]), np.inf)
+    first = np.minimum(turns.min(axis=1, keepdims=True), np.pi)
+    turns = np.sort(np.where(np.isinf(turns), first, turns), axis=1)
+    return np.diff(turns, axis=1, append=first + 2.0 * np.pi).max(axis=1) > np.pi
+
+
 def compute_limb_directions(body: RobotBody, motion: RobotMotion) -> Float[np.ndarray, "T S 3"]:
     """Return the directions of the robot's limbs in the order of its map."""
     near, far = (
@@ -171,7 +225,6 @@ def build_robot_arrays(motion: RobotMotion) -> dict[str, np.ndarray]:
     """
     robot, rate = motion.robot, motion.rate
     quaternions = _compute_quaternions(motion.link_rotations)
-    centres = motion.link_positions + np.einsum("tlij,lj->tli", motion.link_rotations, robot.mass_centres)
     qpos = np.concatenate([motion.root_position, quaternions[:, 0], motion.joint_positions], axis=1)
     return {
         "fps": np.array(rate),
@@ -184,7 +237,7 @@ def build_robot_arrays(motion: RobotMotion) -> dict[str, np.ndarray]:
         "body_names": np.array(robot.link_names),
         "body_pos_w": motion.link_positions,
         "body_quat_w": quaternions,
-        "body_lin_vel_w": differentiate(centres, rate),
+        "body_lin_vel_w": differentiate(motion.mass_centres, rate),
         "body_ang_vel_w": _compute_angular_velocities(motion.link_rotations, rate),
         "units": np.array("metres, radians, seconds; Z up, floor at 0; quaternions w x y z; velocities in the world"),
     }

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocapfix.characters.body_frames import SegmentMotion, build_body_frame
 from mocapfix.characters.character_files import write_character_glb
+from mocapfix.contacts.contacts import CONTACT_JOINTS, NO_FLOOR, BodyContacts
 from mocapfix.errors import OptionError, WriteError
 from mocapfix.io.gltf import parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import compute_node_matrices, read_gltf_mesh
@@ -18,11 +20,15 @@ from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import OutputOptions
 from mocapfix.output_formats import list_output_formats
 from mocapfix.robots.load_robot import load_robot
-from mocapfix.robots.retarget_robot import RobotMotion
+from mocapfix.robots.retarget_robot import RobotMotion, compose_robot_motion
+from mocapfix.robots.robot import SIDES
 from mocapfix.robots.robot_files import (
     ON_FLOOR_M,
     build_robot_arrays,
+    compute_mass_centre,
     convert_robot_motion,
+    describe_balance,
+    find_outside,
     load_robot_files,
     write_robot_csv,
     write_robot_pickle,
@@ -173,6 +179,42 @@ def test_files_of_a_robot(path, tmp_path):
     again = load_robot_files(path, OutputOptions(character_map=str(tmp_path / "walk.own.map.yaml")))
     assert again.body.map.reason == "Read from walk.own.map.yaml."
     assert read_robot_map(tmp_path / "walk.own.map.yaml", again.body.robot).feet == files.body.map.feet
+
+
+def test_points_outside_of_the_soles_that_stand():
+    """Two soles of 1 by 1 and 3 apart: the hull is that of the edges in contact."""
+    sole = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 1.0], [1.0, 0.0]])
+    corners = np.tile(np.concatenate([sole + [0.0, 3.0], sole]), (6, 1, 1))
+    centres = np.array([[0.5, 3.5], [0.5, 2.0], [0.5, 2.0], [0.9, 2.0], [0.9, 2.0], [0.5, 0.5]])
+    both, left, heels, none = [True] * 4, [True, True, False, False], [True, True, True, False], [False] * 4
+    found = find_outside(centres, corners, np.array([left, left, both, both, heels, none]))
+    assert found.tolist() == [False, True, False, False, True, True]
+
+
+def test_mass_centre_of_a_person_who_stands():
+    """A person of 1.7 m with hanging arms: 55 to 60 % of the stature."""
+    heights = {"thigh": 0.9, "shin": 0.49, "foot": 0.08, "upper_arm": 1.4, "forearm": 1.12, "hand": 0.87}
+    sides = {"left": 0.1, "right": -0.1}
+    place = {f"{side}_{each}": np.array([[x, y, 0.0]]) for side, x in sides.items() for each, y in heights.items()}
+    centre = compute_mass_centre(SegmentMotion(place, {}, {}))[0]
+    assert centre[[0, 2]] == pytest.approx(0.0, abs=1e-12)
+    assert 0.55 < centre[1] / 1.7 < 0.6
+
+
+def test_balance_of_a_robot_that_leans(path):
+    """It stands in half of the frames and leans by 30 degrees in the others; the performer stands upright."""
+    body = load_robot_files(path, OutputOptions()).body
+    turns = np.repeat(Rotation.from_euler("y", [[0.0], [30.0]], degrees=True).as_matrix(), 5, axis=0)
+    moved = compose_robot_motion(body, RATE, turns, np.zeros((10, 6 + len(body.robot.joint_names))))
+    frame = build_body_frame(load_walk()[0])
+    bones = frame.character.mapping.bones
+    place = {segment: np.tile(frame.rest_position[each[0]], (12, 1)) for segment, each in bones.items() if each}
+    upright = SegmentMotion(place, {f"{side}_foot": np.tile(np.eye(3), (12, 1, 1)) for side in SIDES}, {})
+    stands = np.ones((12, len(CONTACT_JOINTS)), bool)
+    contacts = BodyContacts(CONTACT_JOINTS, stands, stands.astype(float), stands, NO_FLOOR, RATE)
+    text = describe_balance(body, moved, frame, upright, contacts, slice(2, 12))
+    assert "outside of the standing soles in 50% of the frames, the performer's in 0%." in text
+    assert describe_balance(body, moved, frame, upright, contacts.change_contacts(~stands), slice(2, 12)) == ""
 
 
 def test_frames_outside_of_the_take_are_refused(path, tmp_path):
