@@ -205,21 +205,18 @@ def compute_length_cost(
 
 def find_mirrored_columns(take: Take, marker_set: MarkerSet) -> list[tuple[int, int]]:
     """Return the columns in the take of each pair of points with mirrored places, the left one first, from the trunk outwards."""
-    skeleton, columns = load_cmu31_body().skeleton, marker_set.find_columns(take.labels)
-    names, parents = skeleton.names, skeleton.parents
-    place_of_column = {
-        int(column): (names[marker_set.joints[k]], marker_set.marker_offsets[k])
-        for k, column in enumerate(columns)
-        if column >= 0
-    }
-    pairs: list[tuple[int, int]] = []
-    for left, (left_joint, left_offset) in place_of_column.items():
-        for right, (right_joint, right_offset) in place_of_column.items():
-            is_left = left_joint.startswith("Left") or (not left_joint.startswith("Right") and left_offset[0] > 0)
-            is_pair = is_left and right_joint == left_joint.replace("Left", "Right")
-            if is_pair and np.abs(left_offset * [-1, 1, 1] - right_offset).max() <= MAX_MIRROR_MISFIT_M and left != right:
-                pairs.append((left, right))
-    return sorted(pairs, key=lambda pair: len(list_path(names.index(place_of_column[pair[0]][0]), -1, parents)))
+    skeleton, columns = load_cmu31_body().skeleton, marker_set.find_columns(take.labels).tolist()
+    names, offsets = [skeleton.names[joint] for joint in marker_set.joints], marker_set.marker_offsets
+    pairs = dict[int, int]()  # left of right, among the set's points: of two at one place, one each
+    for left, (name, offset) in enumerate(zip(names, offsets, strict=True)):
+        is_left = name.startswith("Left") or (not name.startswith("Right") and offset[0] > 0)
+        misfit = np.abs(offset * [-1, 1, 1] - offsets).max(1)
+        is_twin = [is_left and other == name.replace("Left", "Right") for other in names] & (misfit <= MAX_MIRROR_MISFIT_M)
+        if free := [right for right in np.flatnonzero(is_twin).tolist() if right not in pairs]:
+            pairs[free[0]] = left
+    depths = {left: len(list_path(int(marker_set.joints[left]), -1, skeleton.parents)) for left in pairs.values()}
+    shown = [(left, right) for right, left in pairs.items() if columns[left] >= 0 and columns[right] >= 0]
+    return [(columns[left], columns[right]) for left, right in sorted(shown, key=lambda pair: depths[pair[0]])]
 
 
 def find_exchanged_frames(

@@ -253,8 +253,9 @@ def detect_on_hands(
 ) -> Detected:
     """Correct the labels of finger markers and find ghosts among them. Returns `detected` itself where it finds nothing."""
     is_judged = not marker_set.point_sd  # neighbouring fingers are as near as the noise of keypoints
-    found = review.select(find_finger_faults(detected.take, body.subject, body.motion)) if is_judged else []
-    swaps, ghosts = ([fault for fault in found if (fault.kind == "ghost") == is_ghost] for is_ghost in (False, True))
+    found = find_finger_faults(detected.take, body.subject, body.motion) if is_judged else []
+    ghosts = [fault for fault in found if fault.kind == "ghost"]
+    swaps = review.select([fault for fault in found if fault.kind != "ghost"])
     if not found:
         return detected
     take, changed = undo_label_exchanges(detected.take, swaps), {marker for fault in swaps for marker in fault.markers}
@@ -267,7 +268,7 @@ def detect_on_hands(
     for fault in ghosts:  # its label may be another one now
         is_same = (take.markers[fault.frame_slice] == before[fault.frame_slice, fault.marker][:, None]).all((0, 2))
         is_new = is_same & ~is_known[fault.frame_slice].all(0)
-        sample_faults = sample_faults.add_faults(replace(fault, marker=int(marker)) for marker in np.flatnonzero(is_new))
+        sample_faults = sample_faults.add_faults(review.select([replace(fault, marker=int(m)) for m in np.flatnonzero(is_new)]))
     return replace(detected, take=take, label_faults=(*detected.label_faults, *swaps), sample_faults=sample_faults)
 
 

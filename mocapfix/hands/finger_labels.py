@@ -246,7 +246,7 @@ def find_finger_faults(take: Take, subject: Subject, motion: Motion) -> list[Fau
         points, own = collect_points(hand, (subject, motion), take, positions, columns), places[np.isin(columns, hand.columns)]
         found = tracklets.assign_to_tracklets(points.points, label_tracklets(points, MIN_FINGER_GAIN)[0], -2)
         is_lost = (found == -1) & np.isin(places, own) & (target == places)
-        target = np.where(found >= 0, own[found], np.where(is_lost, -1, target))
+        target = np.where(found >= 0, own[np.maximum(found, 0)], np.where(is_lost, -1, target))
     is_visible, runs = ~np.isnan(positions[..., 0]), dict[tuple[int, ...], list[int]]()
     for frame in np.flatnonzero(((target != places) & is_visible).any(1)).tolist():
         for cycle in find_permutation_cycles(_order_sources(target[frame], is_visible[frame])):
@@ -263,7 +263,7 @@ def find_finger_faults(take: Take, subject: Subject, motion: Motion) -> list[Fau
     is_ghost = (target == -1) & ((target == -1).sum(0) <= MAX_GHOST_SHARE * is_visible.sum(0))
     for marker, (first, last) in ((columns[place], run) for place in places for run in find_runs(is_ghost[:, place])):
         time = f"{(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
-        reason = f"{take.bare_labels[marker]} is for {time} at a point that no finger of the hand can be."
+        reason = f"The point is for {time} where no finger of the hand can be."
         ghosts.append(Fault("ghost", int(marker), first, last, np.nan, reason, FINGER_CONFIDENCE))
     return [*sorted(faults, key=lambda fault: fault.first), *ghosts]
 

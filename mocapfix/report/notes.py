@@ -97,10 +97,12 @@ def build_body_notes(detected: Detected, body: SolvedBody, *, is_preview: bool =
     for part in body.lost_parts:
         lost_samples |= part.markers
     unsolved = format_name_list([name for name, is_shown in zip(names, is_solved, strict=True) if not is_shown])
+    hands = find_finger_markers(body.subject.marker_set, detected.take.labels)
+    fingers = [column for hand in hands for column in hand.columns.tolist()]  # which `describe_hands` names
     return [
         *[f"Not shown by any marker, so not solved and kept at rest: {unsolved}."] * (not is_solved.all()),
         *describe_unobserved_joints(body.subject, body.is_observed),
-        *describe_unassigned_markers(detected.take, body.carried_markers, detected.donor_markers),
+        *describe_unassigned_markers(detected.take, body.carried_markers, {*detected.donor_markers, *fingers}),
         *(describe_lost_part(detected.take, part, detected.inlier_mask) for part in body.lost_parts),
         *describe_stray_markers(detected.take, body.residual_m, detected.faults.items, lost_samples),
         *describe_imported_fills(detected, body.residual_m),
@@ -147,9 +149,9 @@ def describe_unobserved_joints(subject: Subject, is_observed: Bool[np.ndarray, "
     return [f"No visible marker on {format_name_list(names)}: the mean pose is used there."] if names else []
 
 
-def describe_unassigned_markers(take: Take, columns: Sequence[int], fragment_donors: Collection[int] = ()) -> list[str]:
-    """Return a note on the visible markers that are not in the marker set, without those that are fragments of others."""
-    is_other = take.visible.any(0) & ~np.isin(np.arange(len(take.labels)), [*columns, *fragment_donors])
+def describe_unassigned_markers(take: Take, columns: Sequence[int], described: Collection[int] = ()) -> list[str]:
+    """Return a note on the visible markers that are not in the marker set, without those that other notes describe."""
+    is_other = take.visible.any(0) & ~np.isin(np.arange(len(take.labels)), [*columns, *described])
     unassigned = [take.labels[m] for m in np.flatnonzero(is_other)]
     if not unassigned:
         return []

@@ -150,6 +150,16 @@ def test_exchanged_hands_go_back_as_a_whole(hands, first, last):
     np.testing.assert_array_equal(undo_label_exchanges(wrong, found).markers, hands.markers)
 
 
+def test_points_at_one_place_are_paired_with_their_own_twins(hands):
+    body = load_marker_set("coco133")
+    for lost in ("", "left_wrist", "right_hand_root"):
+        take = hands.masked(hands.visible)
+        take = replace(take, labels=tuple("other" if label == lost else label for label in take.labels))
+        pairs = [(take.labels[a], take.labels[b]) for a, b in find_mirrored_columns(take, body)]
+        twins = [(label, label.replace("left", "right")) for label in body.labels if label.startswith("left")]
+        assert sorted(pairs) == sorted(pair for pair in twins if lost not in pair)
+
+
 def test_mirrored_pairs_go_from_the_trunk_outwards(projected):
     pairs = [(HALPE.labels[a], HALPE.labels[b]) for a, b in find_mirrored_columns(projected.take, HALPE)]
     assert len(pairs) == 11
