@@ -32,9 +32,7 @@ MIN_BODY_FILL_SD_M = 0.0005  # smallest standard deviation of a fill
 STEP_NOISE_M = 0.001  # standard deviation per axis of the measured step at an edge
 BODY_ERROR_RATIO = 1.5
 """Ratio of the errors in gaps to what the residual and the pose predict: a body does not fit as well as its markers say."""
-MAX_EDGE_RESIDUAL_M = 0.05
-"""Residual of a sample above which it may be unusable as the edge of a gap; it must also exceed MAX_EDGE_RESIDUAL_RATIO."""
-MAX_EDGE_RESIDUAL_RATIO = 4.0  # the same relative to the marker's median residual
+MAX_EDGE_RESIDUAL_M, MAX_EDGE_RESIDUAL_RATIO = 0.05, 4.0  # and the same over the marker's median: samples above both are no edges
 MAX_PREDICTED_STRETCHES = 4  # in which the motion prior predicts a hidden limb; with 12, composed takes are hardly better
 
 
@@ -145,7 +143,9 @@ class PredictedPlacement(BodyPlacement):
             if k >= 0:
                 placed = places[:, row] + np.einsum("sab,sb->sa", rotations[:, joint], residual[k])
                 error[k] = BODY_ERROR_RATIO * (placed - self.take.visible_markers[w.hidden_frames[k], gap.marker])
-        return [estimate._replace(error=error, evidence=1.0)]
+        known = error[~np.isnan(error)]  # the body's deviation is that of the inferred pose, which can be far smaller
+        expected_sd = np.maximum(estimate.expected_sd, np.sqrt((known**2).mean())) if len(known) else estimate.expected_sd
+        return [estimate._replace(error=error, expected_sd=expected_sd, evidence=1.0)]
 
     def predict_places(self, window: GapWindow) -> dict[int, Places]:
         """Return the places in a gap by the number -1, and those at the points of hidden stretches by theirs.

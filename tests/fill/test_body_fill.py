@@ -156,6 +156,7 @@ def test_motion_prior_is_tried_in_hidden_stretches_as_in_the_gap(scene):
     error = (expected.position - truth)[there.window.points]
     np.testing.assert_allclose(estimate.error[-1], BODY_ERROR_RATIO * error, atol=1e-6)
     assert np.isnan(estimate.error).any((1, 2)).sum() == len(estimate.error) - 4
+    assert (estimate.expected_sd >= np.sqrt(np.nanmean(estimate.error**2))).all()
 
 
 def test_what_else_is_known_of_hidden_joints_does_not_matter_to_the_motion_prior(scene):
