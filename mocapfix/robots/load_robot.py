@@ -41,7 +41,7 @@ def load_robot(path: str | Path) -> Robot:
         raise SceneError(f"{path.name}: joint {format_name_list(balls)} is a ball joint; replace it by three hinges.")
     names = [model.joint(j).name or f"joint {j}" for j in joints]
     positions = model.jnt_qposadr[joints]
-    speeds, speed_note = _read_speed_limits(path, names)
+    speeds, speed_notes = _read_speed_limits(path, names)
     is_limited = model.jnt_limited[joints].astype(bool)
     return Robot(
         path.stem,
@@ -62,7 +62,7 @@ def load_robot(path: str | Path) -> Robot:
         _list_couplings(model, joints, path),
         _build_collision(model, index),
         _list_outlines(model, index),
-        (*notes, *([speed_note] if speed_note else [])),
+        (*notes, *speed_notes),
     )
 
 
@@ -115,26 +115,29 @@ def _convert_quaternions(wxyz: Any) -> np.ndarray:
     return np.ascontiguousarray(Rotation.from_quat(np.asarray(wxyz)[..., [1, 2, 3, 0]]).as_matrix())
 
 
-def _read_speed_limits(path: Path, names: list[str]) -> tuple[np.ndarray, str]:
-    """Return the speed limits of joints, which MuJoCo does not keep, from the URDF or one beside the MJCF, and a sentence."""
+def _read_speed_limits(path: Path, names: list[str]) -> tuple[np.ndarray, list[str]]:
+    """Return the speed limits of joints, which MuJoCo does not keep, from the URDF or one beside the MJCF, and sentences."""
     for candidate in [path, *(each for each in sorted(path.parent.glob("*.urdf")) if each != path)]:
         try:
             root = ElementTree.parse(candidate).getroot()
-            joints = root.iter("joint") if root.tag == "robot" else ()
-            stated = {each.get("name"): float(limit.get("velocity", 0)) for each in joints for limit in each.iter("limit")}
-        except (OSError, ValueError, ElementTree.ParseError):
+            joints = {each.get("name"): each.find("limit") for each in root.findall("joint")} if root.tag == "robot" else {}
+            speeds = np.array([0.0 if (limit := joints[name]) is None else float(limit.get("velocity", 0)) for name in names])
+        except (OSError, ValueError, KeyError, ElementTree.ParseError):
             continue
-        if all(stated.get(name, 0.0) > 0.0 for name in names):
-            source = "" if candidate == path else f"Its speed limits are those of {candidate.name}."
-            return np.array([stated[name] for name in names]), source
-    return np.full(len(names), np.inf), "It states no speed limits; a URDF beside it with the same joints would."
+        silent = [name for name, speed in zip(names, speeds, strict=True) if not speed > 0.0]
+        if len(silent) < len(names):
+            notes = [f"Its speed limits are those of {candidate.name}."] * (candidate != path)
+            notes += [f"No speed limit is stated for {format_name_list(silent)}."] * bool(silent)
+            return np.where(speeds > 0.0, speeds, np.inf), notes
+    return np.full(len(names), np.inf), ["It states no speed limits; a URDF beside it with the same joints would."]
 
 
 def _list_couplings(model: Any, joints: list[int], path: Path) -> tuple[tuple[int, int, float, float], ...]:
     """Return the joints that follow others: follower, leader, offset and factor."""
     place, zero = {joint: k for k, joint in enumerate(joints)}, model.qpos0[model.jnt_qposadr]
     found: dict[int, tuple[int, int, float, float]] = {}
-    equalities = [k for k in range(model.neq) if model.eq_type[k] == JOINT_EQUALITY and int(model.eq_obj1id[k]) in place]
+    is_active = (model.eq_type == JOINT_EQUALITY) & np.asarray(model.eq_active0, bool)
+    equalities = [int(k) for k in np.flatnonzero(is_active) if int(model.eq_obj1id[k]) in place]
     free = [joint for joint in joints if joint not in model.eq_obj1id[equalities]]
     if not free:
         raise SceneError(f"{path.name}: no joint can move: each is locked or follows another one.")
@@ -145,9 +148,7 @@ def _list_couplings(model: Any, joints: list[int], path: Path) -> tuple[tuple[in
         offset, factor, *higher = model.eq_data[k, :5]
         if np.any(higher):
             name = model.joint(follower).name
-            raise SceneError(
-                f"{path.name}: joint {name} follows another one by a polynomial; only a linear coupling can be used."
-            )
+            raise SceneError(f"{path.name}: joint {name} follows another one by a polynomial; only linear couplings can be used.")
         leader, factor = (leader, factor) if leader >= 0 else (free[0], 0.0)  # of a joint that is locked: any, by a factor of 0
         offset = float(zero[follower] + offset - factor * zero[leader])
         found[place[follower]] = place[follower], place[leader], offset, float(factor)
@@ -175,8 +176,7 @@ def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
                 capsules.append((geom, place - along, place + along, radius, True))
             continue
         if kind == MESH:
-            start, count = int(model.mesh_vertadr[model.geom_dataid[geom]]), int(model.mesh_vertnum[model.geom_dataid[geom]])
-            corners = np.array(model.mesh_vert[start : start + count], float)
+            corners = _list_mesh_corners(model, geom)
             middle = corners.mean(axis=0)
             direction = np.linalg.svd(corners - middle, full_matrices=False)[2][0]
             share = (corners - middle) @ direction
@@ -184,7 +184,7 @@ def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
             radius = float(np.percentile(apart, MESH_RADIUS_PERCENTILE))
             low, high = share.min() + radius, share.max() - radius
             low, high = (low, high) if low < high else (0.5 * (low + high),) * 2
-            first, last = (centre + axes @ (middle + each * direction) for each in (low, high))
+            first, last = (middle + each * direction for each in (low, high))
         else:
             half = {CAPSULE: size[1], CYLINDER: max(size[1] - CYLINDER_ROUNDING * size[0], 0.0)}.get(kind, 0.0)
             radius, along = float(size[0]), axes[:, 2] * half
@@ -223,13 +223,16 @@ def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
 
 def _list_outlines(model: Any, index: dict[int, int]) -> tuple[tuple[int, np.ndarray], ...]:
     """Return links with the corners of their meshes, colliding or not, and with their sites."""
-    found = [(index[int(body)], np.array(model.site_pos[[k]])) for k, body in enumerate(model.site_bodyid) if int(body) in index]
-    for geom in np.flatnonzero(model.geom_type == MESH):
-        if int(model.geom_bodyid[geom]) in index:
-            start, count = model.mesh_vertadr[model.geom_dataid[geom]], model.mesh_vertnum[model.geom_dataid[geom]]
-            corners = model.mesh_vert[start : start + count] @ _convert_quaternions(model.geom_quat[geom]).T
-            found.append((index[int(model.geom_bodyid[geom])], corners + model.geom_pos[geom]))
-    return tuple(found)
+    places = [(int(body), np.array(model.site_pos[[k]])) for k, body in enumerate(model.site_bodyid)]
+    places += [
+        (int(model.geom_bodyid[geom]), _list_mesh_corners(model, int(geom))) for geom in np.flatnonzero(model.geom_type == MESH)
+    ]
+    return tuple((index[body], points) for body, points in places if body in index)
+
+
+def _list_mesh_corners(model: Any, geom: int) -> np.ndarray:
+    start, count = model.mesh_vertadr[model.geom_dataid[geom]], model.mesh_vertnum[model.geom_dataid[geom]]
+    return model.mesh_vert[start : start + count] @ _convert_quaternions(model.geom_quat[geom]).T + model.geom_pos[geom]
 
 
 def may_collide(model: Any, first: int, second: int) -> bool:

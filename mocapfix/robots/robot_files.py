@@ -39,13 +39,7 @@ from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
 from mocapfix.robots.robot import SIDES, LinkPoint
 from mocapfix.robots.robot_map import SOLE_SHARES, find_robot_map, read_robot_map, write_robot_map
-from mocapfix.robots.robot_targets import (
-    ROBOT_AXES,
-    RobotBody,
-    RobotTargets,
-    build_robot_body,
-    compute_robot_targets,
-)
+from mocapfix.robots.robot_targets import ROBOT_AXES, RobotBody, RobotTargets, build_robot_body, compute_robot_targets
 from mocapfix.solve.trajectory import compute_hinged_costs, place_points
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 

@@ -13,6 +13,7 @@ farthest is the arm.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -261,9 +262,8 @@ def _find_leg(
 ) -> dict[str, tuple[LinkPoint, LinkPoint]]:
     lateral = [abs(float(body.find_axis(joint)[1])) > MIN_LATERAL_COSINE for joint in chain]
     knee = _find_middle_joint(body, chain, sole, lateral)
-    ankles = [joint for joint in chain[knee + 1 :] if abs(float(body.find_axis(joint)[1])) > MIN_LATERAL_COSINE]
-    ankle_joint = chain[knee + 1] if len(chain) > knee + 1 else -1
-    ankle = body.find_anchor(ankles[0] if ankles else ankle_joint) if ankle_joint >= 0 else sole
+    below = [*compress(chain[knee + 1 :], lateral[knee + 1 :]), *chain[knee + 1 :]]
+    ankle = body.find_anchor(below[0]) if below else sole
     shin_link, knee_place = int(body.robot.joint_links[chain[knee]]), body.find_anchor(chain[knee])
     start = _find_start(body, chain[:knee], knee_place)
     return {

@@ -14,15 +14,7 @@ from mocapfix.characters.kept_positions import level_feet, measure_flat_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, NO_FLOOR, BodyContacts
 from mocapfix.robots.robot import SIDES, LinkPoint, Robot, RobotMap
 from mocapfix.robots.robot_map import StandingRobot, stand_robot
-from mocapfix.solve.trajectory import (
-    CollisionTerm,
-    FloorTerm,
-    HingedTerms,
-    HingedTree,
-    LineTerm,
-    LinkRotationTerm,
-    PlaceTerm,
-)
+from mocapfix.solve.trajectory import CollisionTerm, FloorTerm, HingedTerms, HingedTree, LineTerm, LinkRotationTerm, PlaceTerm
 from mocapfix.stats.sequences import find_runs
 
 ROBOT_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # from axes with Y up that face Z
@@ -283,10 +275,7 @@ def stand_feet(body: RobotBody, targets: RobotTargets, edges: Float[np.ndarray, 
     term = targets.terms.place
     places, weights = term.places.copy(), term.weights.copy()
     for k, side in enumerate(SIDES):
-        length, found = (
-            np.linalg.norm(np.diff(body.soles[side].edges, axis=0)),
-            dict[tuple[int, int, int], Float[np.ndarray, " 2"]](),
-        )
+        length, found = np.linalg.norm(np.diff(body.soles[side].edges, axis=0)), dict[tuple[int, int, int], np.ndarray]()
         runs = sorted((first, last, end) for end in (0, 1) for first, last in targets.contacts[side, end])
         for first, last, end in runs:
             together = [(min(last, other[1]) - max(first, other[0]), other) for other in found if other[2] != end]

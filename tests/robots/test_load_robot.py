@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.errors import ReadError, SceneError
+from mocapfix.errors import ReadError, SceneError, format_name_list
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.robot import Robot
 from mocapfix.robots.robot_map import build_hinged_tree, list_leaders
@@ -84,6 +84,14 @@ def test_couplings_are_those_that_mujoco_enforces(tmp_path):
     assert joints[robot.joint_names.index("b")] == pytest.approx(0.3)
 
 
+def test_a_coupling_that_is_switched_off_is_none(tmp_path):
+    equality = '<equality><joint joint1="left_forearm_joint" joint2="right_forearm_joint" active="{}"/></equality>'
+    on, off = (
+        load_robot(write(tmp_path / "a.xml", build_mjcf(list_parts(), equality.format(each)))) for each in ("true", "false")
+    )
+    assert (len(on.couplings), len(off.couplings)) == (1, 0)
+
+
 def test_limits_are_in_radians_and_only_of_limited_joints(tmp_path):
     robot = load_robot(write(tmp_path / "robot.xml", OBLIQUE))
     limits = dict(zip(robot.joint_names, robot.limits.tolist(), strict=True))
@@ -130,6 +138,11 @@ def test_speed_limits_are_those_of_the_urdf_or_of_one_beside_the_mjcf(tmp_path):
     beside = load_robot(tmp_path / "robot.xml")
     np.testing.assert_array_equal(beside.speed_limits, urdf.speed_limits)
     assert "own.urdf" in " ".join(beside.notes)
+    text = build_urdf(parts).replace('velocity="9.0"', 'velocity="0"')  # of ankles, the neck and the waist
+    part = load_robot(write(tmp_path / "own.urdf", text))
+    is_silent = np.array([not any(name in joint for name in SPEED_LIMITS) for joint in part.joint_names])
+    np.testing.assert_array_equal(part.speed_limits, np.where(is_silent, np.inf, urdf.speed_limits))
+    assert part.notes == (f"No speed limit is stated for {format_name_list(np.array(part.joint_names)[is_silent].tolist())}.",)
     write(tmp_path / "own.urdf", build_urdf(list_parts(neck=False)))
     assert np.isinf(load_robot(tmp_path / "robot.xml").speed_limits).all()
 
@@ -166,6 +179,9 @@ BALL = build_mjcf(list_parts()).replace('name="left_shin_joint"', 'name="left_sh
     'type="ball" class="about_y" range="0 140"', 'type="ball"'
 )  # fmt: skip
 
+LOCKS = "".join(f'<joint joint1="{part.name}_joint"/>' for part in list_parts() if part.axis)
+LOCKED = build_mjcf(list_parts(), f"<equality>{LOCKS}</equality>")
+
 
 @pytest.mark.parametrize(
     ("text", "error", "message"),
@@ -182,6 +198,7 @@ BALL = build_mjcf(list_parts()).replace('name="left_shin_joint"', 'name="left_sh
             SceneError,
             "joint c follows another one by a polynomial",
         ),
+        (LOCKED, SceneError, "no joint can move: each is locked or follows another one"),
         (
             build_urdf(list_parts()).replace('<child link="left_hand"/>', '<child link="nobody"/>'),
             ReadError,
