@@ -290,10 +290,10 @@ def _find_arm(body: StandingRobot, side: str, chain: Sequence[int]) -> tuple[dic
     ends = fixed[np.linalg.norm(fixed - body.find_anchor(chain[-1]), axis=1) > WRIST_EXTENT_M]
     if not wrists and len(ends):
         tip = ends[-1]
-    elif not wrists:  # shapes may be short or beside the arm: it points to its centre of mass
-        below = [link for link in range(forearm_link, len(body.robot.parents)) if forearm_link in _list_above(body.robot, link)]
-        centres = np.array([body.place(LinkPoint(link, body.robot.mass_centres[link])) for link in below])
-        centre = np.average(centres, axis=0, weights=body.robot.masses[below])
+    elif not wrists:  # shapes may be short or beside the arm: it points to the centre of mass of its last part
+        links = body.list_fixed_links(last_link)
+        centres = np.array([body.place(LinkPoint(link, body.robot.mass_centres[link])) for link in links])
+        centre = np.average(centres, axis=0, weights=body.robot.masses[links])
         tip = place + (centre - place) * np.linalg.norm(tip - place) / np.linalg.norm(centre - place)
     end_link = int(body.robot.joint_links[wrists[-1]]) if wrists else last_link
     end = body.attach(end_link, body.find_anchor(wrists[-1]) if wrists else tip)

@@ -141,6 +141,21 @@ def test_feet_without_shapes_have_soles_of_usual_size(tmp_path):
     assert "these are of a usual size" in found.reason
 
 
+def test_forearms_without_wrist_point_to_the_centre_of_mass_of_their_last_part(tmp_path):
+    """Its centre of mass is 0.05 m below its joint; the elbow's own is beside this line."""
+    path = tmp_path / "own.xml"
+    turned = {"offset": (0.03, 0.0, -0.12), "axis": "z", "limits": (-90, 90)}
+    parts = [part._replace(**turned) if part.name.endswith("hand") else part for part in list_parts(wrist=False)]
+    path.write_text(build_mjcf(parts), encoding="utf-8")
+    robot = load_robot(path)
+    found, body = find_robot_map(robot), stand_robot(robot, np.zeros(len(robot.joint_names)))
+    for side in SIDES:
+        near, far = (body.place(point) for point in found.limbs[f"{side}_forearm"])
+        direction = (far - near) / np.linalg.norm(far - near)
+        np.testing.assert_allclose(direction, np.array([0.03, 0.0, -0.17]) / np.hypot(0.03, 0.17), atol=1e-6)
+        assert side not in found.hands
+
+
 @needs_robots
 @pytest.mark.parametrize("folder", ["unitree_g1", "booster_t1", "fourier_n1", "engineai_pm01", "unitree_h1"])
 def test_bodies_of_real_robots_are_as_set_by_hand(folder):
@@ -160,4 +175,4 @@ def test_bodies_of_real_robots_are_as_set_by_hand(folder):
         near, far = (body.place(point) for point in ends)
         start, end = (place(point) for point in expected["limbs"][limb.replace("shin", "shank")])
         cosine = (far - near) @ (end - start) / np.linalg.norm(far - near) / np.linalg.norm(end - start)
-        assert np.degrees(np.arccos(min(cosine, 1.0))) < 3.5, limb
+        assert np.degrees(np.arccos(min(cosine, 1.0))) < 2.0, limb
