@@ -257,7 +257,8 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
             hands, notes = content.measure_hands()
             glb, body, notes = target, build_body_frame(files.character), notes + files.write(target, *motion, hands)
         else:
-            glb, body, (notes, moved) = target.with_suffix(".glb"), files.body, files.write(target, *motion)
+            glb, body = target.with_suffix(".glb"), files.body
+            notes, moved = files.write(target, *motion, content.motion.subject.solved_joints)
             write_character_glb(glb, files.character, moved, target.stem)
         performer = content.build_performer(frames)
         sheet = draw_contact_sheet(performer, files.character, glb, turns=options.root_motion != ROOT_IN_PLACE)
@@ -432,7 +433,9 @@ def _read_output_formats(options: OutputOptions, _versions: tuple[FileVersion | 
     formats = (BVH_FORMAT, *rigs, *extra, *characters, *DEFAULT_FORMATS)
     suffixes = [suffix for each in formats for suffix in each.all_suffixes]
     if repeated := [suffix for suffix in suffixes if suffixes.count(suffix) > 1]:
-        raise WriteError(f"Two of the requested files would both have the suffix .{repeated[0]}; request one of them.")
+        raise WriteError(
+            f"Two of the requested files would both have the suffix .{repeated[0]}; request one, or rename its source."
+        )
     return formats
 
 

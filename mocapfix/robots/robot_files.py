@@ -37,12 +37,15 @@ from mocapfix.model.skeleton import Skeleton, decompose_transforms, make_names_u
 from mocapfix.options import OutputOptions
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
-from mocapfix.robots.robot import SIDES, LinkPoint
+from mocapfix.robots.robot import LIMBS, SIDES, LinkPoint
 from mocapfix.robots.robot_map import SOLE_SHARES, find_robot_map, read_robot_map, write_robot_map
 from mocapfix.robots.robot_targets import ROBOT_AXES, RobotBody, RobotTargets, build_robot_body, compute_robot_targets
 from mocapfix.solve.trajectory import compute_hinged_costs, place_points
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 
+MAX_LIMB_DEG = 8.0
+"""Mean angle from the performer's limbs from which a robot does something else: on three captures 11 to 14 degrees for a robot
+whose file has the limits of other joints, 6.1 at most for nine others."""
 AT_LIMIT_RAD = 0.005  # distance from a limit within which a joint counts as at it
 ON_FLOOR_M = 0.015  # height up to which the lowest corner of the soles is on the floor
 OVERLAP_M = 0.005  # depth from which parts that overlap count as colliding
@@ -76,8 +79,9 @@ class RobotFiles:
         return tuple(f"{self.body.robot.name}.{ending}" for ending in ("npz", "glb", "map.yaml", *extra))
 
     def write(
-        self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None, frames: slice
-    ) -> tuple[list[str], CharacterMotion]:
+        self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None, frames: slice,
+        is_solved: Bool[np.ndarray, " J"],
+    ) -> tuple[list[str], CharacterMotion]:  # fmt: skip
         """Write some frames of the motion of a solved skeleton, of `rate` frames per second, as the robot's, all but the GLB.
 
         Returns sentences for the report on these frames, and the motion of `character`. The contacts may have another rate.
@@ -86,7 +90,7 @@ class RobotFiles:
         source = build_body_frame(build_cmu31_character(skeleton))
         segments = compute_segment_motion(source, convert_motion(motion, rate))
         feet = None if contacts is None else resample_foot_contacts(contacts, motion.frame_count, rate)
-        targets = compute_robot_targets(self.body, source, segments, feet, rate)
+        targets = compute_robot_targets(self.body, source, segments, feet, rate, is_solved)
         moved = retarget_to_robot(self.body, targets).select_frames(frames)
         if not len(moved.root_position):
             raise WriteError(f"{target.name}: none of its frames is among those of --trim; name frames of the take.")
@@ -117,7 +121,8 @@ def load_robot_files(path: Path, options: OutputOptions) -> RobotFiles:
 class RobotFigures(NamedTuple):
     """How well a robot's motion follows the performer, and what it touches."""
 
-    limb_deg: tuple[float, float]  # angle between limbs and the performer's: mean, and 95th percentile
+    limb_count: int  # of the limbs that the take shows
+    limb_deg: tuple[float, float]  # angle between these and the performer's: mean, and 95th percentile
     at_limit_share: float  # of the frames in which a joint is at one of its limits
     speed_ratio: float  # largest speed of a joint over its limit
     fastest_joint: str
@@ -129,8 +134,10 @@ class RobotFigures(NamedTuple):
         """Return sentences."""
         mean, high = self.limb_deg
         overlap = f"parts overlap in {self.overlap_share:.1%} of the frames, by {self.overlap_m * 1e3:.0f} mm at most"
+        limbs = "Limbs" if self.limb_count == len(LIMBS) else f"The {self.limb_count} limbs that the take shows"
+        problem = "It does something else: check the limits of its joints, and its map. " if mean > MAX_LIMB_DEG else ""
         return (
-            f"Limbs point as the performer's within {mean:.1f} degrees in the mean, 95 % within {high:.1f}; "
+            f"{problem}{limbs} point as the performer's within {mean:.1f} degrees in the mean, 95 % within {high:.1f}; "
             f"a sole is on the floor in {self.on_floor_share:.0%} of the frames; "
             f"{overlap if self.overlap_share else 'no parts overlap'}. A joint is at a limit in {self.at_limit_share:.0%} of the "
             f"frames; the fastest, {self.fastest_joint}, reaches {self.speed_ratio:.0%} of its limit of speed."
@@ -140,7 +147,8 @@ class RobotFigures(NamedTuple):
 def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMotion) -> RobotFigures:
     """Return the figures of a motion."""
     cosines = (compute_limb_directions(body, motion) * targets.terms.line.directions[:, : len(body.map.limbs)]).sum(axis=2)
-    angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+    is_shown = targets.terms.line.weights[0, : len(body.map.limbs)] > 0.0
+    angles = np.degrees(np.arccos(np.clip(cosines[:, is_shown], -1.0, 1.0))) if is_shown.any() else np.zeros(1)
     gaps = np.minimum(motion.joint_positions - body.robot.limits[:, 0], body.robot.limits[:, 1] - motion.joint_positions)
     ratio = np.abs(motion.joint_velocities).max(axis=0) / body.speed_limits
     fastest = int(np.argmax(ratio))
@@ -148,6 +156,7 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
     depths = np.sqrt(2.0 * costs)  # the root of the sum of their squares
     corners, _ = place_points(body.tree, motion.references, motion.unknowns, body.corner_links, body.corner_offsets)
     return RobotFigures(
+        int(is_shown.sum()),
         (float(angles.mean()), float(np.percentile(angles, 95))),
         float((gaps < AT_LIMIT_RAD).any(axis=1).mean()),
         float(ratio[fastest]),

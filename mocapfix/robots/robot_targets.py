@@ -7,9 +7,10 @@ by the length of the legs, heights are above the floor without its slope: a robo
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.characters.body_frames import LIMB_AXES, BodyFrame, SegmentMotion
+from mocapfix.characters.character import LIMB_ENDS
 from mocapfix.characters.kept_positions import level_feet, measure_flat_feet
 from mocapfix.contacts.contacts import FOOT_JOINTS, NO_FLOOR, BodyContacts
 from mocapfix.robots.robot import SIDES, LinkPoint, Robot, RobotMap
@@ -157,8 +158,9 @@ class RobotTargets:
 
 
 def compute_robot_targets(
-    body: RobotBody, source: BodyFrame, motion: SegmentMotion, contacts: BodyContacts | None, rate: float
-) -> RobotTargets:
+    body: RobotBody, source: BodyFrame, motion: SegmentMotion, contacts: BodyContacts | None, rate: float,
+    is_solved: Bool[np.ndarray, " J"] | None = None,
+) -> RobotTargets:  # fmt: skip
     """Return what a robot keeps of a performer.
 
     Args:
@@ -167,6 +169,7 @@ def compute_robot_targets(
         motion: The performer's segments, Y up, over T frames.
         contacts: At the same rate; without them feet stand nowhere.
         rate: Frames per second.
+        is_solved: The performer's joints that the take shows, None for all. Limbs whose ends it does not show are left free.
     """
     flat_feet = measure_flat_feet(source, motion, contacts)
     motion = level_feet(motion, flat_feet)
@@ -192,7 +195,7 @@ def compute_robot_targets(
     terms = HingedTerms(
         _build_place_term(body, path),
         _build_floor_term(body),
-        _build_line_term(body, motion, count),
+        _build_line_term(body, source, motion, is_solved),
         _build_rotation_term(body, motion, count),
         collision,
     )
@@ -214,7 +217,9 @@ def _build_place_term(body: RobotBody, path: Float[np.ndarray, "T 3"]) -> PlaceT
     return PlaceTerm(links, offsets, places, weights)
 
 
-def _build_line_term(body: RobotBody, motion: SegmentMotion, count: int) -> LineTerm:
+def _build_line_term(
+    body: RobotBody, source: BodyFrame, motion: SegmentMotion, is_solved: Bool[np.ndarray, " J"] | None
+) -> LineTerm:
     links: list[tuple[int, int]] = []
     offsets: list[tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]] = []
     segments: list[str] = []
@@ -231,7 +236,12 @@ def _build_line_term(body: RobotBody, motion: SegmentMotion, count: int) -> Line
     axes = LIMB_AXES | {f"{side}_hand": LIMB_AXES[f"{side}_forearm"] for side in SIDES}
     directions = np.stack([motion.rotation[segment] @ axes[segment] @ ROBOT_AXES.T for segment in segments], axis=1)
     sd = np.array([HAND_SD_RAD if segment.endswith("hand") else DIRECTION_SD_RAD for segment in segments])
-    return LineTerm(np.array(links), np.array(offsets), np.ascontiguousarray(directions), np.tile(sd**-2.0, (count, 1)))
+    if is_solved is not None:
+        bones, parts = source.character.mapping.bones, [segment.partition("_") for segment in segments]
+        ends = [(*bones["".join(part)][1:], *bones[f"{part[0]}_{LIMB_ENDS.get(part[2], part[2])}"])[0] for part in parts]
+        sd[~is_solved[ends]] = np.inf
+    weights = np.tile(sd**-2.0, (len(directions), 1))
+    return LineTerm(np.array(links), np.array(offsets), np.ascontiguousarray(directions), weights)
 
 
 def _build_rotation_term(body: RobotBody, motion: SegmentMotion, count: int) -> LinkRotationTerm:

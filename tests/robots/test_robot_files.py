@@ -23,7 +23,9 @@ from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, compose_robot_motion
 from mocapfix.robots.robot import SIDES
 from mocapfix.robots.robot_files import (
+    MAX_LIMB_DEG,
     ON_FLOOR_M,
+    RobotFigures,
     build_robot_arrays,
     compute_mass_centre,
     convert_robot_motion,
@@ -39,6 +41,7 @@ from tests.robots.humanoid import LENGTHS, SOLE, build_mjcf, list_parts
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is in the extra `robot`")
 FRAMES = 50
+ALL_JOINTS = np.ones(31, bool)
 TURN = np.array([0.4, -0.5, 1.5])  # rad/s, in the world
 SPEED = np.array([1.0, 0.5, 0.0])  # m/s
 
@@ -163,7 +166,7 @@ def test_files_of_a_robot(path, tmp_path):
     files = load_robot_files(path, OutputOptions(extra_formats=("robot-csv", "robot-pkl")))
     assert files.suffixes == ("own.npz", "own.glb", "own.map.yaml", "own.csv", "own.columns.json", "own.pkl")
     target = tmp_path / "walk.own.npz"
-    notes, moved = files.write(target, *load_solved(), RATE, None, slice(5, 25))
+    notes, moved = files.write(target, *load_solved(), RATE, None, slice(5, 25), ALL_JOINTS)
     assert {each.name for each in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in files.suffixes if suffix != "own.glb"}
     assert moved.frame_count == 20
     with np.load(target) as arrays:
@@ -217,10 +220,29 @@ def test_balance_of_a_robot_that_leans(path):
     assert describe_balance(body, moved, frame, upright, contacts.change_contacts(~stands), slice(2, 12)) == ""
 
 
+def test_limbs_that_the_take_does_not_show_are_not_measured_and_hang(path, tmp_path):
+    files, (skeleton, motion) = load_robot_files(path, OutputOptions()), load_solved()
+    hidden = [skeleton.find_joint(f"{side}{joint}") for side in ("Left", "Right") for joint in ("ForeArm", "Hand")]
+    is_solved = ~np.isin(np.arange(31), hidden)
+    level = motion.local_rotations.copy()
+    level[:, [skeleton.find_joint(f"{side}{joint}") for side in ("Left", "Right") for joint in ("Arm", "ForeArm")]] = np.eye(3)
+    notes, _ = files.write(
+        tmp_path / "walk.own.npz", skeleton, replace(motion, local_rotations=level), RATE, None, slice(None), is_solved
+    )
+    assert "The 4 limbs that the take shows point as the performer's within" in notes[1]
+    with np.load(tmp_path / "walk.own.npz") as arrays:
+        names = arrays["body_names"].tolist()
+        for side in ("left", "right"):
+            shoulder, elbow = (arrays["body_pos_w"][:, names.index(f"{side}_{link}")] for link in ("upper_arm", "forearm"))
+            assert ((elbow - shoulder)[:, 2] < -0.8 * LENGTHS["upper_arm"]).all()
+    figures = RobotFigures(8, (MAX_LIMB_DEG + 1.0, 40.0), 0.5, 0.9, "knee", 0.0, 0.0, 1.0)
+    assert figures.describe().startswith("It does something else: check the limits of its joints, and its map. Limbs point")
+
+
 def test_frames_outside_of_the_take_are_refused(path, tmp_path):
     files = load_robot_files(path, OutputOptions())
     with pytest.raises(WriteError, match="none of its frames is among those of --trim"):
-        files.write(tmp_path / "walk.own.npz", *load_solved(), RATE, None, slice(40, 50))
+        files.write(tmp_path / "walk.own.npz", *load_solved(), RATE, None, slice(40, 50), ALL_JOINTS)
     assert not any(tmp_path.iterdir())
 
 
