@@ -1,5 +1,4 @@
-"""Gaussian processes over all markers: missing ones are predicted from frames with a similar body state and from neighbouring
-frames.
+"""Gaussian processes over all markers: missing ones are predicted from frames with a similar body state, and neighbouring ones.
 
 A Gaussian model of the whole marker set given the visible markers (Gloersen & Federolf 2016, "Predicting missing marker
 trajectories in human motion data using marker intercorrelations", PLoS ONE 11), extended to a process over the frames that also
@@ -126,9 +125,8 @@ class MarkerProcesses:
                 remaining += [(begin, middle), (middle + 1, end)]
                 continue
             piece = slice(begin, end + 1)
-            estimate = (
-                self._estimate_piece(w, w.gap_frames[piece], inputs, lost_markers) if len(inputs) >= MIN_INPUT_MARKERS else None
-            )
+            has_inputs = len(inputs) >= MIN_INPUT_MARKERS
+            estimate = self._estimate_piece(w, w.gap_frames[piece], inputs, lost_markers) if has_inputs else None
             if estimate is None:
                 return []
             position[piece], sd[piece], error_of_whole = estimate
@@ -177,10 +175,8 @@ class MarkerProcesses:
         process = fit_gaussian_process(positions, states, training / self.rate, noise, MARKER_FILL_KERNEL)
         states = compute_marker_state_features(local[:, inputs], axes, frames, self.rate)
         predicted, relative_variance = process.predict(states, frames / self.rate)
-        world = (
-            np.einsum("tab,tmb->tma", axes.rotation_world_axes[frames], predicted.reshape(len(frames), -1, 3))
-            + axes.origin[frames, None]
-        )
+        world = np.einsum("tab,tmb->tma", axes.rotation_world_axes[frames], predicted.reshape(len(frames), -1, 3))
+        world += axes.origin[frames, None]
         power = np.fmax(process.measure_gap_errors(len(frames) / self.rate)[0], process.signal_power).reshape(-1, 3).mean(1)
         if len(lost_markers) >= MIN_LIMB_MARKERS:
             share = LIMB_POWER_STRETCHES / (LIMB_POWER_STRETCHES + np.count_nonzero(is_usable) / w.length)
@@ -198,4 +194,8 @@ class MarkerProcesses:
                 local_error = held_error[at].reshape(len(at), -1, 3) * scale[:, None, None]
                 local_error[held_frames[at] != hidden_frames] = np.nan
                 error[k] = np.einsum("sab,smb->sma", axes.rotation_world_axes[hidden_frames], local_error)
+        shown = ~np.isnan(error).all((1, 2, 3))
+        if len(lost_markers) >= MIN_LIMB_MARKERS and shown.any():  # a few stretches of rare motion would outweigh all others
+            log_power = np.log(np.nanmean(error[shown] ** 2, axis=(1, 3)) + PROCESS_SAMPLE_NOISE_M**2)
+            error[shown] *= np.exp((log_power.mean(0) - log_power) / 4)[:, None, :, None]
         return world, sd, error

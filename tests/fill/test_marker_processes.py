@@ -163,7 +163,7 @@ def test_hard_motion_elsewhere_does_not_count_as_the_error_in_an_easy_gap():
     others = np.full(truth.shape, np.nan)
     estimates = build_processes(damaged, others, others[..., 0]).estimate_gap(window, np.arange(10, 14))
     actual = np.sqrt(np.mean([(e.position - truth[200:240, m]) ** 2 for m, e in enumerate(estimates, start=10)]))
-    assert np.sqrt(np.nanmean([e.error**2 for e in estimates])) < 2 * actual
+    assert np.sqrt(np.nanmean([e.error**2 for e in estimates])) < 1.2 * actual
 
 
 def test_precise_estimates_are_used_as_inputs():
