@@ -101,10 +101,10 @@ class _HandCalibration:
 
     def minimise(self, unknowns: np.ndarray, poses: Poses) -> _CalibrationState:
         """Return the state of least cost, from these unknowns and poses."""
-        start = self.fit(unknowns, poses)
         return minimise_shared(
-            lambda trial, state: self.fit(trial, state.poses), start, self.compute_curvature, MAX_CALIBRATION_ROUNDS
-        )[0]
+            lambda trial, state: self.fit(trial, state.poses), self.fit(unknowns, poses),
+            lambda state: self.eliminate_poses(state)[0], MAX_CALIBRATION_ROUNDS,
+        )[0]  # fmt: skip
 
     def fit(self, unknowns: np.ndarray, start: Poses) -> _CalibrationState:
         """Return the state at these unknowns; the poses start from others."""
@@ -130,8 +130,7 @@ class _HandCalibration:
         always be better: they bend less.
         """
         curvature = rows.of_pose.swapaxes(-1, -2) @ rows.of_pose
-        joints = hand.attachment.joints
-        count, markers = len(poses[0]), len(joints)
+        joints, (count, markers) = hand.attachment.joints, self.is_used.shape
         rotation, moves = compute_tree_poses(hand.tree, *poses)[1], points.of_unknowns
         leverage = np.linalg.solve(curvature, rows.of_pose[:, : 3 * markers].swapaxes(-1, -2)).swapaxes(-1, -2)
         leverage = leverage.reshape(count, -1, 3, self.pose_size) * self._weigh_markers(hand, points)[..., None, None]
@@ -161,14 +160,11 @@ class _HandCalibration:
 
         A pose has the root's position and rotation in the world, the turns of the 15 joints in their parents' axes, and the code.
         """
-        model, palm, prior = self.start.model, self.palm, hand.model.prior
-        count, (root, local) = len(codes), poses
+        model, palm, prior, count, (root, local) = self.start.model, self.palm, hand.model.prior, len(codes), poses
         weight = self._weigh_markers(hand, points)
         error, *derivatives = (each[:, : weight.shape[1]] for each in points)
-        by_marker = (
-            each * weight.reshape(*weight.shape, *[1] * (each.ndim - 2)) for each in (error - self.markers, *derivatives)
-        )
-        markers = [each.reshape(count, -1, *each.shape[3:]) for each in by_marker]
+        weighted = (each * weight.reshape(*weight.shape, *[1] * (each.ndim - 2)) for each in (error - self.markers, *derivatives))
+        markers = [each.reshape(count, -1, *each.shape[3:]) for each in weighted]
         target_root, target = hand.place_palm(palm)
         turn = compute_rotation_vectors(local[:, 0] @ target[:, 0].swapaxes(-1, -2))
         inverse_sd = np.repeat(np.stack([1 / palm.sd_m, 1 / palm.sd_rad], axis=1), 3, axis=1)
@@ -234,12 +230,8 @@ class _HandCalibration:
             of_unknowns[:, k, :, own : own + 3] = spread * rotation[:, points.joints[k]]
         return _Linearisation(place, of_pose, of_unknowns)
 
-    def compute_curvature(self, state: _CalibrationState) -> Float[np.ndarray, "Q Q"]:
-        """Return the curvature of the cost, each frame's pose adapting to the unknowns (Gauss-Newton)."""
-        return self._eliminate_poses(state)[0]
-
-    def _eliminate_poses(self, state: _CalibrationState) -> tuple[Float[np.ndarray, "Q Q"], Float[np.ndarray, "N D Q"]]:
-        """Return the curvature, and how the poses change with the unknowns."""
+    def eliminate_poses(self, state: _CalibrationState) -> tuple[Float[np.ndarray, "Q Q"], Float[np.ndarray, "N D Q"]]:
+        """Return the curvature of the cost, and how the poses adapt to the unknowns (Gauss-Newton)."""
         rows = state.rows
         by_pose = rows.of_pose.swapaxes(-1, -2)
         mixed = by_pose[..., : rows.of_unknowns.shape[1]] @ rows.of_unknowns
@@ -250,7 +242,7 @@ class _HandCalibration:
 
     def compute_point_sd(self, state: _CalibrationState) -> Float[np.ndarray, "20"]:
         """Return what the uncertainty of the unknowns adds to that of joints and tips, per axis, in metres."""
-        curvature, response = self._eliminate_poses(state)
+        curvature, response = self.eliminate_poses(state)
         _, of_pose, of_unknowns = (each[:, self.markers.shape[1] :] for each in state.points)
         changes = of_unknowns + of_pose @ response[:, None]
         deviations = changes @ np.linalg.cholesky(np.linalg.inv(curvature))

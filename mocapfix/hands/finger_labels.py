@@ -10,6 +10,8 @@ adapt to the take would adapt to labels that are wrong in most of it.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -103,9 +105,26 @@ class HandPoints:
         terms = hand.build_terms(np.where(is_used[..., None], markers, 0.0), is_used, hand.track_palm(palm))
         poses, codes = minimise_hand_poses(hand, terms, hand.place_palm(palm), ROBUST_SCALES_M, POSE_ITERATIONS)
         terms, squared_scale = (*terms, linearise_hand_prior(hand, len(frames))), (ROBUST_SCALES_M[-1] / MARKER_SD_M) ** 2
-        return compute_costs(hand.tree, terms, poses, squared_scale, codes=codes), predict_markers(hand.subject, poses)[
-            :, : fingers.shape[1]
-        ]
+        costs = compute_costs(hand.tree, terms, poses, squared_scale, codes=codes)
+        return costs, predict_markers(hand.subject, poses)[:, : fingers.shape[1]]
+
+
+class FittedHands(NamedTuple):
+    """The points taken for a hand's markers in S frames, the costs of its best poses, and their markers; in metres."""
+
+    fingers: Float[np.ndarray, "S K 3"]
+    cost: Float[np.ndarray, " S"]
+    predicted: Float[np.ndarray, "S K 3"]
+
+
+def fit_changed(points: HandPoints, hand: CalibratedHand, markers: Int[np.ndarray, " N"], fitted: FittedHands) -> FittedHands:
+    """Return the hand fitted to the markers of tracklets; frames whose points are those of `fitted` keep their poses."""
+    fingers = points.sampled.arrange_markers(markers, fitted.fingers.shape[1])
+    changed = np.flatnonzero((np.nan_to_num(fingers) != np.nan_to_num(fitted.fingers)).any((1, 2)))
+    cost, predicted = fitted.cost.copy(), fitted.predicted.copy()
+    if len(changed):
+        cost[changed], predicted[changed] = points.fit_poses(hand, points.sampled.frames[changed], fingers[changed])
+    return FittedHands(fingers, cost, predicted)
 
 
 def collect_points(
@@ -160,20 +179,22 @@ def label_tracklets(hand_points: HandPoints, min_gain: float) -> tuple[Int[np.nd
     prior = (1 - hand_points.shares) * OTHER_COLUMN_SD_M**2
     every, most = np.ones(len(prior)), 0.99 * OTHER_COLUMN_SD_M
     markers = tracklets.assign_tracklets(sampled, prior, most * every)
-    hand = build_average_hand(hand_points.hand, hand_points.size_ratio)
+    hand, nowhere = build_average_hand(hand_points.hand, hand_points.size_ratio), np.full((len(sampled.frames), count, 3), np.inf)
+    fitted = FittedHands(nowhere, nowhere[:, 0, 0], nowhere)
     for _ in range(MAX_ASSIGNMENT_ROUNDS):
-        predicted = hand_points.fit_poses(hand, sampled.frames, sampled.arrange_markers(markers, count))[1]
-        squared = tracklets.measure_tracklets(sampled, predicted, 2 * MAX_FINGER_DISTANCE_M).squared_m2
+        fitted = fit_changed(hand_points, hand, markers, fitted)
+        squared = tracklets.measure_tracklets(sampled, fitted.predicted, 2 * MAX_FINGER_DISTANCE_M).squared_m2
         before, markers = markers, tracklets.assign_tracklets(sampled, squared + prior, MAX_FINGER_DISTANCE_M * every)
         if (markers == before).all():
             break
     saved = np.full(len(markers), MIN_PRELIMINARY_GAIN)
     for _ in range(MAX_EXCHANGES):
-        exchanges = find_exchanges_of_fingers(hand_points, hand, markers)
+        fitted = fit_changed(hand_points, hand, markers, fitted)
+        exchanges = find_exchanges_of_fingers(hand_points, hand, markers, fitted)
         saved[:] = MIN_PRELIMINARY_GAIN
         for gain, exchanged, _ in exchanges:
             saved[exchanged] = np.maximum(saved[exchanged], gain)
-        gain, exchanged, pair = max(exchanges, key=lambda each: each[0], default=(-np.inf, np.zeros(0, int), (0, 0)))
+        gain, exchanged, pair = max(exchanges, key=lambda each: each[0], default=(-np.inf, np.zeros(0, int), [0, 0]))
         if gain <= min_gain:
             break
         markers = markers.copy()
@@ -182,15 +203,13 @@ def label_tracklets(hand_points: HandPoints, min_gain: float) -> tuple[Int[np.nd
 
 
 def find_exchanges_of_fingers(
-    hand_points: HandPoints, hand: CalibratedHand, markers: Int[np.ndarray, " N"]
-) -> list[tuple[float, Int[np.ndarray, " E"], tuple[int, int]]]:
+    hand_points: HandPoints, hand: CalibratedHand, markers: Int[np.ndarray, " N"], fitted: FittedHands
+) -> list[tuple[float, Int[np.ndarray, " E"], list[int]]]:
     """Return what exchanges of two markers save, the tracklets that they concern, and the markers."""
     sampled, (first, last), count = hand_points.sampled, hand_points.spans, hand_points.shares.shape[1]
-    fingers = sampled.arrange_markers(markers, count)
-    cost, predicted = hand_points.fit_poses(hand, sampled.frames, fingers)
-    tried: list[tuple[Int[np.ndarray, " F"], np.ndarray, Int[np.ndarray, " E"], tuple[int, int]]] = []
-    for one, other in np.argwhere(np.triu(np.ones((count, count), bool), 1)).tolist():
-        pair = [one, other]
+    fingers, cost, predicted = fitted
+    tried = list[tuple[Int[np.ndarray, " F"], np.ndarray, Int[np.ndarray, " E"], list[int]]]()
+    for pair in map(list, combinations(range(count), 2)):
         for exchanged in list_exchangeable(markers, hand_points.spans, pair):
             start, stop = first[exchanged].min(), last[exchanged].max()
             is_shown = (~np.isnan(fingers[:, pair, 0])).any(1)
@@ -201,7 +220,7 @@ def find_exchanges_of_fingers(
             squared = [((each[:, pair] - predicted[frames][:, pair]) ** 2).sum(-1) for each in (fingers[frames], others)]
             saved = (np.nan_to_num(squared[0]) - np.nan_to_num(squared[1])).sum(1) / (2 * PRELIMINARY_SD_M**2)
             if len(frames) and np.median(saved) >= MIN_PRELIMINARY_GAIN:
-                tried.append((frames, others, exchanged, (one, other)))
+                tried.append((frames, others, exchanged, pair))
     if not tried:
         return []
     frames = np.concatenate([each[0] for each in tried])

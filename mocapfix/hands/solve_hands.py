@@ -242,12 +242,12 @@ def solve_hand(
         rotations[:, 0], weight[:, 0] = tracking.rotations[:, 0], tracking.weight[:, 0]
         tracking = tracking._replace(rotations=rotations, weight=weight)
         lost = np.flatnonzero(is_unobserved.any(1))  # the other frames keep their poses
-        terms = hand.build_terms(measured[lost], is_used[lost], _select_tracking(tracking, lost))
+        terms = hand.build_terms(measured[lost], is_used[lost], TrackingTerm(*(each[lost] for each in tracking)))
         found, _ = minimise_hand_poses(hand, terms, _select(poses, lost), ROBUST_SCALES_M[-1:], POSE_ITERATIONS)
         poses[0][lost], poses[1][lost] = found
     known = np.flatnonzero(find_key_frames(frames, is_used, rate))
     uncertainty = _compute_uncertainty(
-        hand, measured[known], is_used[known], _select_tracking(tracking, known), _select(poses, known)
+        hand, measured[known], is_used[known], TrackingTerm(*(each[known] for each in tracking)), _select(poses, known)
     )
     uncertainty = PoseUncertainty(*(interpolate_rows(each, known, frames) for each in uncertainty))
     smooth = smoothing.smooth_poses(poses[0], poses[1].copy(), uncertainty, is_unobserved, hand.model.free_joints, rate)
@@ -343,7 +343,3 @@ def _compute_uncertainty(
 
 def _select(poses: Poses, frames: Int[np.ndarray, " N"]) -> Poses:
     return poses[0][frames], poses[1][frames]
-
-
-def _select_tracking(tracking: TrackingTerm, frames: Int[np.ndarray, " N"]) -> TrackingTerm:
-    return TrackingTerm(*(each[frames] for each in tracking))
