@@ -150,7 +150,7 @@ class PredictedPlacement(BodyPlacement):
     def predict_places(self, window: GapWindow) -> dict[int, Places]:
         """Return the places in a gap by the number -1, and those at the points of hidden stretches by theirs.
 
-        None for a gap in which no joint is hidden, or predicted.
+        It is empty for a gap in which no joint is hidden, or predicted.
         """
         w, motion, placed = window, self.motion, dict[int, Places]()
         joints = np.flatnonzero(motion.is_unobserved[w.gap_frames].all(0))
