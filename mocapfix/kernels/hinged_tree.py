@@ -107,6 +107,16 @@ class CollisionTerm(NamedTuple):
     weight: float  # 1 / m^2
 
 
+class BalanceTerm(NamedTuple):
+    """The centre of mass of links above places on the floor."""
+
+    links: np.ndarray  # (M,)
+    offsets: np.ndarray  # (M, 3) centres of mass of the links, in their axes, metres
+    shares: np.ndarray  # (M,) of the mass
+    places: np.ndarray  # (T, 2) metres
+    weights: np.ndarray  # (T,) 1 / m^2; 0 for none
+
+
 class HingedTerms(NamedTuple):
     """All terms of a frame."""
 
@@ -115,6 +125,7 @@ class HingedTerms(NamedTuple):
     line: LineTerm
     rotation: LinkRotationTerm
     collision: CollisionTerm
+    balance: BalanceTerm
 
 
 class Columns(NamedTuple):
@@ -466,6 +477,29 @@ def add_collision_term(tree, pose, term, with_model, ends, box_ends, columns, ot
     return cost
 
 
+@compile_inner_kernel
+def add_balance_term(tree, pose, term, t, with_model, columns, other, curvature, gradient):
+    """Add the centre of mass to a frame's model: all unknowns move it. Returns the cost."""
+    weight, x, y = term.weights[t], 0.0, 0.0
+    if weight == 0.0:
+        return 0.0
+    size, velocities = len(gradient), other.velocities
+    for i in range(size):
+        other.unknowns[i] = i
+        velocities[i, 0], velocities[i, 1], velocities[i, 2] = 0.0, 0.0, 0.0
+    for k in range(len(term.links)):
+        share = term.shares[k]
+        px, py, pz = place_point(pose, term.links[k], term.offsets[k])
+        x, y = x + share * px, y + share * py
+        for i in range(write_velocities(tree, pose, term.links[k], px, py, pz, columns) if with_model else 0):
+            for a in range(2):
+                velocities[columns.unknowns[i], a] += share * columns.velocities[i, a]
+    errors = x - term.places[t, 0], y - term.places[t, 1], 0.0
+    if with_model:
+        add_point_rows(other, 0, size, (weight, weight, 0.0), errors, curvature, gradient)
+    return 0.5 * weight * (errors[0] ** 2 + errors[1] ** 2)
+
+
 @compile_kernel(nogil=True)
 def linearise_hinged_frames(tree, terms, frames, references, unknowns, with_model, curvatures, gradients):
     """Write the models of some `frames` (F,) of T into `curvatures` (F, D, D), lower triangles, and `gradients` (F, D).
@@ -495,6 +529,7 @@ def linearise_hinged_frames(tree, terms, frames, references, unknowns, with_mode
         cost += add_line_term(tree, pose, terms.line, t, with_model, columns, other, h, g)
         cost += add_link_rotation_term(tree, pose, terms.rotation, t, with_model, columns, h, g)
         cost += add_collision_term(tree, pose, terms.collision, with_model, ends, box_ends, columns, other, dense, h, g)
+        cost += add_balance_term(tree, pose, terms.balance, t, with_model, columns, other, h, g)
     return cost
 
 

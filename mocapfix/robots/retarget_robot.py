@@ -158,6 +158,7 @@ def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " 
         line._replace(directions=directions, weights=weights),
         rotation._replace(rotations=np.ascontiguousarray(turns)),
         frame.collision._replace(weight=0.0),
+        frame.balance,
     )
     standing = body.map.standing[list_leaders(body.robot)]
     costs = replace(build_control_costs(body, standing), rest_sd=POSTURE_SEARCH_SD_RAD)

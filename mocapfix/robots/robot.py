@@ -85,6 +85,7 @@ class RobotMap:
         standing: Joint positions of an upright stance with arms that hang and straight elbows and knees, (N,): rotations of
             segments are compared with the performer's from this pose.
         reason: Sentence on how the map was found.
+        keeps_balance: Whether the centre of mass is kept over standing feet as far as the performer's is.
     """
 
     limbs: Mapping[str, tuple[LinkPoint, LinkPoint]]
@@ -96,3 +97,4 @@ class RobotMap:
     hands: Mapping[str, int]
     standing: Float[np.ndarray, " N"]
     reason: str = ""
+    keeps_balance: bool = False

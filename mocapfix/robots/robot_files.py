@@ -37,9 +37,17 @@ from mocapfix.model.skeleton import Skeleton, decompose_transforms, make_names_u
 from mocapfix.options import OutputOptions
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
-from mocapfix.robots.robot import LIMBS, SIDES, LinkPoint
-from mocapfix.robots.robot_map import SOLE_SHARES, find_robot_map, read_robot_map, write_robot_map
-from mocapfix.robots.robot_targets import ROBOT_AXES, RobotBody, RobotTargets, build_robot_body, compute_robot_targets
+from mocapfix.robots.robot import LIMBS, LinkPoint
+from mocapfix.robots.robot_map import find_robot_map, read_robot_map, write_robot_map
+from mocapfix.robots.robot_targets import (
+    ROBOT_AXES,
+    RobotBody,
+    RobotTargets,
+    build_robot_body,
+    compute_mass_centre,
+    compute_robot_targets,
+    place_soles,
+)
 from mocapfix.solve.trajectory import compute_hinged_costs, place_points
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors
 
@@ -49,14 +57,6 @@ whose file has the limits of other joints, 6.1 at most for nine others."""
 AT_LIMIT_RAD = 0.005  # distance from a limit within which a joint counts as at it
 ON_FLOOR_M = 0.015  # height up to which the lowest corner of the soles is on the floor
 OVERLAP_M = 0.005  # depth from which parts that overlap count as colliding
-LIMB_MASSES = {
-    ("upper_arm", "forearm"): (0.028, 0.436),
-    ("forearm", "hand"): (0.022, 0.682),
-    ("thigh", "shin"): (0.1, 0.433),
-    ("shin", "foot"): (0.061, 0.606),
-}
-"""Shares of a person's mass in limbs (forearms with hands, shins with feet), and where their centres are between two joints."""
-TRUNK_CENTRE = 0.66  # where that of the rest is, between hips and shoulders; both from Winter 2009, table 4.1
 EXTRA_SUFFIXES = {"robot-csv": ("csv", "columns.json"), "robot-pkl": ("pkl",)}
 
 
@@ -177,24 +177,12 @@ def describe_balance(
     corners, _ = place_points(body.tree, moved.references, moved.unknowns, body.corner_links, body.corner_offsets)
     centre = np.average(moved.mass_centres, axis=1, weights=body.robot.masses)
     share = find_outside(centre[:, :2], corners[..., :2], edges)[is_flat].mean()
-    sole = source.leg_length_m * np.array([(y, 0.0, x) for x in SOLE_SHARES[:2] for y in SOLE_SHARES[2:]])
-    corners = np.stack([segments.carry(f"{side}_foot", corner) for side in SIDES for corner in sole], axis=1)[frames]
+    corners = place_soles(source, segments)[frames]
     other = find_outside(compute_mass_centre(segments)[frames][:, ::2], corners[..., ::2], edges)[is_flat].mean()
     return (
         f" While a foot stands flat, the centre of mass is outside of the standing soles in {share:.0%} of the frames, "
         f"the performer's in {other:.0%}."
     )
-
-
-def compute_mass_centre(segments: SegmentMotion) -> Float[np.ndarray, "T 3"]:
-    """Return a person's centre of mass by mean shares of segments, in metres."""
-    hips, shoulders = (np.mean([segments.position[f"{s}_{each}"] for s in SIDES], axis=0) for each in ("thigh", "upper_arm"))
-    total = (1.0 - 2.0 * sum(mass for mass, _ in LIMB_MASSES.values())) * (hips + TRUNK_CENTRE * (shoulders - hips))
-    for (near, far), (mass, share) in LIMB_MASSES.items():
-        for side in SIDES:
-            start, end = segments.position[f"{side}_{near}"], segments.position[f"{side}_{far}"]
-            total = total + mass * (start + share * (end - start))
-    return total
 
 
 def find_outside(

@@ -366,6 +366,7 @@ class RobotMapFile(StrictModel):
     limbs: dict[str, Annotated[list[PointFile], Field(min_length=2, max_length=2)]]
     feet: dict[Side, FootFile]
     standing: dict[str, float] = Field(default_factory=dict)  # joint positions that are not zero
+    keeps_balance: bool = False
 
 
 def read_robot_map(path: Path, robot: Robot) -> RobotMap:
@@ -397,6 +398,7 @@ def read_robot_map(path: Path, robot: Robot) -> RobotMap:
         {side: find(name) for side, name in content.hands.items()},
         body.standing,
         f"Read from {path.name}.",
+        content.keeps_balance,
     )
     _check_map(body, found, path.name)
     return found
@@ -421,6 +423,7 @@ def write_robot_map(target: Path, robot: Robot, robot_map: RobotMap) -> None:
         "standing": {
             name: round(float(value), 5) for name, value in zip(robot.joint_names, robot_map.standing, strict=True) if value
         },
+        "keeps_balance": robot_map.keeps_balance,
     }
     head = f"# The body of the robot {robot.name}; edit it and give it as --character-map. {robot_map.reason}\n"
     text = head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=130)

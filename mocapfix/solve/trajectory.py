@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import solveh_banded
 
 from mocapfix.kernels.hinged_tree import ROOT_UNKNOWNS as ROOT_UNKNOWNS
+from mocapfix.kernels.hinged_tree import BalanceTerm as BalanceTerm
 from mocapfix.kernels.hinged_tree import CollisionTerm as CollisionTerm
 from mocapfix.kernels.hinged_tree import FloorTerm as FloorTerm
 from mocapfix.kernels.hinged_tree import (

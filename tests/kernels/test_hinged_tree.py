@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.hinged_tree import (
     ROOT_UNKNOWNS,
+    BalanceTerm,
     CollisionTerm,
     FloorTerm,
     HingedTerms,
@@ -74,6 +75,7 @@ def build_terms(**terms) -> HingedTerms:
         LineTerm(pairs, np.zeros((0, 2, 3)), nowhere, np.zeros((2, 0))),
         LinkRotationTerm(links, np.zeros((2, 0, 3, 3)), np.zeros((2, 0))),
         CollisionTerm(links, np.zeros((0, 2, 3)), np.zeros(0), pairs, links, none, solid, none, pairs, 0.1, 1.0),
+        BalanceTerm(links, none, np.zeros(0), np.zeros((2, 2)), np.zeros(2)),
     )
     return empty._replace(**terms)
 
@@ -116,14 +118,17 @@ def build_measured_terms(tree, pose, rng, noise: float) -> dict[str, HingedTerms
     near, far = (place(tree, pose, lines[:, k], np.ascontiguousarray(ends[:, k]))[0] for k in (0, 1))
     directions = far - near + noise * rng.normal(size=near.shape)
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    shares = np.array([0.1, 0.4, 0.3, 0.2])
+    centres = np.einsum("k,tka->ta", shares, places)[:, :2] + noise * rng.normal(size=(2, 2))
     return {
+        "balance": build_terms(balance=BalanceTerm(links, offsets, shares, centres, weights[:, 0, 0].copy())),
         "place": build_terms(place=PlaceTerm(links, offsets, places + noise * rng.normal(size=places.shape), weights)),
         "line": build_terms(line=LineTerm(lines, ends, directions, weights[:, :3, 0].copy())),
         "rotation": build_terms(rotation=LinkRotationTerm(links, turns @ rotations, weights[..., 0].copy())),
     }
 
 
-@pytest.mark.parametrize("kind", ["place", "line", "rotation"])
+@pytest.mark.parametrize("kind", ["place", "line", "rotation", "balance"])
 def test_gradient_of_measured_terms_is_that_of_the_cost(tree, pose, rng, kind):
     terms = build_measured_terms(tree, pose, rng, 0.4)[kind]
     for frame in range(2):
@@ -132,7 +137,7 @@ def test_gradient_of_measured_terms_is_that_of_the_cost(tree, pose, rng, kind):
         np.testing.assert_allclose(gradient, differentiate(tree, terms, pose, frame, 0), atol=1e-6 * np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("kind", ["place", "line", "rotation"])
+@pytest.mark.parametrize("kind", ["place", "line", "rotation", "balance"])
 def test_curvature_where_all_errors_are_zero_is_that_of_the_cost(tree, pose, rng, kind):
     terms = build_measured_terms(tree, pose, rng, 0.0)[kind]
     for frame in range(2):

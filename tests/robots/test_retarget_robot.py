@@ -17,7 +17,8 @@ from mocapfix.robots.retarget_robot import RobotMotion, retarget_to_robot
 from mocapfix.robots.robot import SIDES
 from mocapfix.robots.robot_files import measure_robot_motion
 from mocapfix.robots.robot_map import find_robot_map
-from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets
+from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets, stand_feet
+from mocapfix.solve.trajectory import place_points
 from mocapfix.stats.sequences import find_runs
 from tests.characters.walking_body import RATE, build_contacts, load_walk
 from tests.robots.humanoid import build_mjcf, build_urdf, list_parts
@@ -73,6 +74,29 @@ def test_limbs_point_as_the_performers(body, contacts, moved):
     assert figures.limb_deg[0] < 2.0
     assert figures.overlap_m < 0.002
     assert figures.speed_ratio < 1.0
+
+
+def test_balance_is_kept_as_the_performers(body, contacts, moved):
+    """The performer carries his centre of mass 60 mm farther to the left of the standing feet than the robot would."""
+    masses, both = body.robot.masses, dict[bool, np.ndarray]()
+    for keeps_balance in (False, True):
+        balanced = replace(body, map=replace(body.map, keeps_balance=keeps_balance))
+        targets = build_targets(balanced, contacts)
+        balance = targets.terms.balance
+        shifted = balance._replace(places=balance.places + np.array([0.0, 0.06]))
+        targets = replace(targets, terms=targets.terms._replace(balance=shifted))
+        found = retarget_to_robot(balanced, targets)
+        edges, _ = place_points(body.tree, found.references, found.unknowns, body.edge_links, body.edge_offsets)
+        term = stand_feet(balanced, targets, edges, 0.001).terms
+        is_standing = term.place.weights[:, 1:5, 0] > 0.0
+        is_flat = (is_standing[:, ::2] & is_standing[:, 1::2]).any(axis=1)
+        assert is_flat.mean() > 0.5
+        np.testing.assert_array_equal(term.balance.weights > 0.0, is_flat & keeps_balance)
+        weights = is_standing[is_flat, :, None].astype(float)
+        middle = (edges[is_flat, :, :2] * weights).sum(axis=1) / weights.sum(axis=1)
+        centre = np.average(found.mass_centres, axis=1, weights=masses)[is_flat, :2]
+        both[keeps_balance] = np.linalg.norm(centre - middle - shifted.places[is_flat], axis=1)
+    assert both[True].mean() < 0.5 * both[False].mean()
 
 
 def test_standing_soles_keep_their_places(body, contacts, moved):

@@ -1,5 +1,6 @@
 """The body of a robot: found in humanoids with other joints, written and read, and compared with bodies set by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,11 +61,11 @@ def test_body_is_found_in_humanoids_with_other_joints(tmp_path, name):
 
 def test_written_body_is_read_again(tmp_path):
     robot = load(tmp_path)
-    found = find_robot_map(robot)
+    found = replace(find_robot_map(robot), keeps_balance=True)
     write_robot_map(tmp_path / "map.yaml", robot, found)
     read = read_robot_map(tmp_path / "map.yaml", robot)
     assert (read.pelvis, read.trunk, read.head) == (found.pelvis, found.trunk, found.head)
-    assert (read.feet, read.hands) == (found.feet, found.hands)
+    assert (read.feet, read.hands, read.keeps_balance) == (found.feet, found.hands, True)
     np.testing.assert_allclose(read.standing, found.standing, atol=1e-5)
     for side in SIDES:
         np.testing.assert_allclose(read.soles[side], found.soles[side], atol=1e-5)

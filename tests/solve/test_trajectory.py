@@ -8,6 +8,7 @@ import pytest
 from mocapfix.kernels.hinged_tree import HingedTerms, HingedTree, LinkRotationTerm, PlaceTerm, linearise_hinged_frames
 from mocapfix.solve.trajectory import (
     ROOT_UNKNOWNS,
+    BalanceTerm,
     CollisionTerm,
     ControlCosts,
     FloorTerm,
@@ -56,6 +57,7 @@ def build_terms(angles: np.ndarray, path: np.ndarray) -> HingedTerms:
         CollisionTerm(
             links, np.zeros((0, 2, 3)), np.zeros(0), pairs, links, none, np.zeros((0, 3, 3)), none, pairs, 0.0, 1.0
         ),
+        BalanceTerm(links, none, np.zeros(0), np.zeros((count, 2)), np.zeros(count)),
     )  # fmt: skip
 
 
