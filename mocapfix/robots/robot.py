@@ -82,8 +82,8 @@ class RobotMap:
         soles: Side to the corners of the sole, in the order of SOLE_CORNERS, in the axes of the foot's link, metres.
         pelvis, trunk, head: Links; the same link where no joint is between. `trunk` carries the arms.
         hands: Side to the outermost link of the arm, if a joint moves it relative to the forearm.
-        standing: Joint positions of an upright stance with arms that hang and straight elbows and knees, (N,): rotations of
-            segments are compared with the performer's from this pose.
+        standing: Joint positions of an upright stance with straight knees, (N,), those of the file where it stands so:
+            rotations of pelvis, trunk, head and feet are compared with the performer's from this pose.
         reason: Sentence on how the map was found.
         keeps_balance: Whether the centre of mass is kept over standing feet as far as the performer's is.
     """
