@@ -8,7 +8,7 @@ const FIELD_OF_VIEW_DEG = 32;
 const FLOOR_M = 10, FLOOR_TILES = 20;
 const PICK_RADIUS_PX = 14;
 const SLOW_RENDER_MS = 24;
-const MARGIN_M = 0.12, MARGIN_PX = 12;  // around what is framed
+const MARGIN_M = 0.12, MARKERS_MARGIN_M = 0.35, MARGIN_PX = 12;  // around the body, chosen markers and their estimates, in pixels
 const MAX_STRAY_M = 0.4;  // distance of faulty markers from the others up to which they are framed
 export const FIRST_DIRECTION = [0.45, 0.2, 1];  // of the view: to the left of the performer, up, in front
 
@@ -137,7 +137,7 @@ export class SceneView {
     else for (const { at, layer } of this.people[0].listEstimates(this.frame)) box.expandByPoint(this.point.fromArray(layer.values, at));
     const limits = markers || box.isEmpty() ? null : box.clone().expandByScalar(MAX_STRAY_M);
     add("before", markers?.filter((m) => m < before) ?? Array(before).keys(), limits);
-    return box.isEmpty() ? null : box.expandByScalar(MARGIN_M);
+    return box.isEmpty() ? null : box.expandByScalar(markers ? MARKERS_MARGIN_M : MARGIN_M);
   }
 
   // Returns a direction from the performer, [left, up, front], in the world.
