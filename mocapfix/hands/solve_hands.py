@@ -4,7 +4,7 @@ The body carries the palm. Each hand is a skeleton of its own (`hand_model`) who
 body's hand is uncertain, so that nothing of the body changes. A frame has the terms of the body's solver: the markers of fingers
 and of the back of the hand, the palm, limits, and a Gaussian on poses of the hand.
 
-`solve_hand` solves the frames as `solve.window_solver` does: each by itself, from its pose in closed form; across gaps of a
+`solve_hand` solves the frames as `solve.motion_solver` does: each by itself, from its pose in closed form; across gaps of a
 finger with its smooth trajectory too, whose variance grows with the distance from the gap's edges, so that in a long gap the
 synergies and the other fingers decide; and all again about the smooth trajectories of the joints, which of keypoints are the
 motion.

@@ -1,13 +1,21 @@
-"""Model cards: the training data, scores, settings and acknowledgements of trained weights."""
+"""Files of trained weights, and their cards: training data, scores, settings and acknowledgements."""
 
+import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from safetensors.numpy import save_file
 
 from mocapfix.io.files import replace_atomically
 from mocapfix.lab.recordings import RecordingSource
 from mocapfix.lab.settings import SubjectSettings
+from mocapfix.model.skeleton import load_cmu31_skeleton
+from mocapfix.solve.hybrik import TwistRegressor
+from mocapfix.solve.learned_ik import Perceptron
+from mocapfix.solve.pose_prior import Header, PoseModel, Tensors
 
 ACKNOWLEDGEMENT = """\
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
@@ -89,6 +97,37 @@ def write_card(path: Path, settings: SubjectSettings, data: CardData, training: 
     )
     with replace_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_weights(path: Path, tensors: Tensors, header: Header | None = None) -> None:
+    """Write tensors, replacing the file atomically. Raises WriteError if the folder cannot be written."""
+    metadata = None if header is None else {"mocapfix": json.dumps(header)}
+    with replace_atomically(path) as temporary:
+        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
+
+
+def write_twist_regressor(path: Path, network: TwistRegressor) -> None:
+    """Write a network in half precision (see `write_weights`)."""
+    write_weights(path, {"sigma": network.sd_rad.astype(np.float32)} | list_layer_tensors(network.weights, network.biases))
+
+
+def write_perceptron(path: Path, network: Perceptron, kind: str) -> None:
+    """Write a network in half precision (see `write_weights`)."""
+    tensors = {"input_mean": network.input_mean.astype(np.float32), "input_scale": network.input_scale.astype(np.float32)}
+    header = {"kind": kind, "joints": load_cmu31_skeleton().names}
+    write_weights(path, tensors | list_layer_tensors(network.weights, network.biases), header)
+
+
+def list_layer_tensors(weights: Sequence[np.ndarray], biases: Sequence[np.ndarray]) -> Tensors:
+    """Return the tensors of a network's layers in half precision, by their names in a file."""
+    kinds = {"weights": weights, "offsets": biases}
+    return {f"{kind}.{i}": values.astype(np.float16) for kind, layers in kinds.items() for i, values in enumerate(layers)}
+
+
+def write_pose_model(path: Path, model: PoseModel) -> None:
+    """Write a pose model (see `write_weights`)."""
+    header, tensors = model.serialise()
+    write_weights(path, tensors, {"kind": model.kind, "joints": model.joint_names, **header})
 
 
 def format_table(headings: list[str], rows: Mapping[str, list[float]], number_format: str = ".1f") -> str:

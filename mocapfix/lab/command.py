@@ -131,8 +131,7 @@ def run_bench_hands(
     Errors are mean distances of the tips and mean differences of flexion. Of a normal distribution, 68 % lie within one standard
     deviation and 95 % within two. Labels: exchanges that are undone, ghosts that are found, and right samples that are changed.
     """
-    from mocapfix.lab.finger_labels import measure_finger_labels
-    from mocapfix.lab.hands import measure_finger_fills, measure_hands, measure_keypoints, read_rig_hands
+    from mocapfix.lab.hands import measure_finger_fills, measure_finger_labels, measure_hands, measure_keypoints, read_rig_hands
 
     if people < 1:
         return print_usage_error(f"bench hands: --people must be at least 1, not {people}.")

@@ -27,7 +27,7 @@ from mocapfix.contacts.find_contacts import (
     find_shown_standing,
 )
 from mocapfix.errors import TakeError
-from mocapfix.lab.cards import CardData, format_table, write_card
+from mocapfix.lab.cards import CardData, format_table, write_card, write_perceptron
 from mocapfix.lab.contacts import TRUE_STANDING_SPEED_M_S, draw_foot_losses, find_true_contacts, lose_feet, lose_markers
 from mocapfix.lab.networks import extract_layers, fit_perceptron, initialise_perceptron
 from mocapfix.lab.recordings import Recording, RecordingSource, read_recordings
@@ -36,7 +36,7 @@ from mocapfix.lab.sound_takes import PerformedMotion, cut_performance, perform_t
 from mocapfix.options import FEET_OFF, CleanOptions
 from mocapfix.pipeline import plan_subject
 from mocapfix.solve.kinematics import compute_world_poses
-from mocapfix.solve.learned_ik import Perceptron, write_perceptron
+from mocapfix.solve.learned_ik import Perceptron
 from mocapfix.synthetic import SyntheticTake, write_synthetic_take
 
 PIECE_S, MIN_PIECE_S = 8.0, 1.5  # longest and shortest duration of a piece of a recording

@@ -17,13 +17,13 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from mocapfix.kernels.pose_transfer import FEATURES_PER_JOINT, TransferredPoses, TransferTree
-from mocapfix.lab.cards import CardData, format_table, write_card
+from mocapfix.lab.cards import CardData, format_table, write_card, write_perceptron
 from mocapfix.lab.frame_pairs import FrameSequences, IkBatch, PairSampler, gather_sequences
 from mocapfix.lab.networks import build_layers, compute_rotation_tensor, extract_layers
 from mocapfix.lab.settings import LearnedIkSettings, Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.model.skeleton import BODY_SECTIONS, load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
-from mocapfix.solve.learned_ik import IK_KIND, Perceptron, build_transfer_tree, transfer_poses, write_perceptron
+from mocapfix.solve.learned_ik import IK_KIND, Perceptron, build_transfer_tree, transfer_poses
 
 VERTEX_DISTANCE_M = 0.1  # distance from each joint, along its axes, of the points that stand in for the vertices of a mesh
 MIN_ANGLE_SQUARED = 1e-12  # keeps the derivative of an angle finite at 0

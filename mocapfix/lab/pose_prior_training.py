@@ -17,14 +17,14 @@ from sklearn.mixture import GaussianMixture
 
 from mocapfix.errors import SceneError
 from mocapfix.lab.autoencoder_training import train_network
-from mocapfix.lab.cards import CardData, format_table, write_card
+from mocapfix.lab.cards import CardData, format_table, write_card, write_pose_model
 from mocapfix.lab.networks import copy_weights
 from mocapfix.lab.settings import AutoencoderSettings, GaussianSettings, MixtureSettings, PriorSettings, SubjectSettings
 from mocapfix.lab.training_poses import TrainingPoses, compute_sampling_weights, conform_training_poses, gather_training_poses
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve.mean_pose import load_mean_pose_prior
 from mocapfix.solve.pose_prior import GaussianModel, MixtureModel, PoseModel
-from mocapfix.solve.trained_priors import AutoencoderModel, save_pose_model
+from mocapfix.solve.trained_priors import AutoencoderModel
 
 # Measured standard deviations are multiplied by this: the held-out subjects are few, and measurements shall outweigh the prior.
 SD_INFLATION = 2.5
@@ -77,7 +77,7 @@ def train_pose_prior(
     vectors = select_measured_poses(poses)
     model = replace(model, residual_sd_rad=compute_residual_sd(model, vectors))
     scores = compute_prior_scores(model, poses)
-    save_pose_model(target, model)
+    write_pose_model(target, model)
     use = f"{describe_pose_use(poses)}{fit_summary and f'{chr(10) * 2}{fit_summary}'}"
     data, scored = build_card_data(settings, poses), format_prior_scores(model, scores)
     write_card(target.with_suffix(".md"), settings, data, "Trained by `mocapfix train prior` on", use, scored)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mocapfix.lab.autoencoder_training import sample_epoch
-from mocapfix.lab.cards import format_table, write_card
+from mocapfix.lab.cards import format_table, write_card, write_twist_regressor
 from mocapfix.lab.frame_pairs import (
     HAS_TWIST,
     INPUT_COUNT,
@@ -24,7 +24,7 @@ from mocapfix.lab.pose_prior_training import SD_INFLATION, build_card_data, desc
 from mocapfix.lab.settings import TwistSettings
 from mocapfix.lab.training_poses import compute_sampling_weights, conform_training_poses, gather_training_poses, mirror_joint_name
 from mocapfix.model.skeleton import load_cmu31_body
-from mocapfix.solve.hybrik import TwistRegressor, write_twist_regressor
+from mocapfix.solve.hybrik import TwistRegressor
 from mocapfix.solve.mean_pose import load_mean_pose_prior
 
 MIN_TWIST_SD_RAD = 0.2  # lower bound of a twist's standard deviation: knees and elbows twist, though not in CMU's skeleton

@@ -2,7 +2,6 @@
 
 - `initial_motion`: first poses: of segments registered to markers; hybrik, learned_ik
 - `motion_solver`: solve all frames of a take, and how certain they are
-- `window_solver`: the frames of one window: markers, prior and time
 - `pose_problem`: the terms of a body: its markers, prior and limits; the frames that changed
 - `minimise`: the one way of minimising; terms, model_terms
 - `smoothing`: poses over time

@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from numpy.typing import ArrayLike
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file
 
 from mocapfix.errors import ConstraintError, SceneError
-from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.kernels.hybrik import (
     HYBRIK_ADAPTIVE,
@@ -241,15 +240,6 @@ def read_twist_regressor(path: Path) -> TwistRegressor:
         return check_twist_regressor(network)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise SceneError(f"{path}: is not a twist regressor trained by mocapfix ({' '.join(str(error).split())}).") from error
-
-
-def write_twist_regressor(path: Path, network: TwistRegressor) -> None:
-    """Write a network in half precision, atomically. Raises WriteError if the folder cannot be written."""
-    tensors = {"sigma": network.sd_rad.astype(np.float32)}
-    for i, (weights, biases) in enumerate(zip(network.weights, network.biases, strict=True)):
-        tensors |= {f"weights.{i}": weights.astype(np.float16), f"offsets.{i}": biases.astype(np.float16)}
-    with replace_atomically(path) as new_file:
-        save_file(tensors, new_file)
 
 
 def check_twist_regressor(network: TwistRegressor) -> TwistRegressor:

@@ -15,10 +15,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
 from mocapfix.errors import SceneError
-from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.kernels.pose_transfer import (
     FEATURES_PER_JOINT,
@@ -88,16 +86,6 @@ def read_perceptron(path: Path, kind: str, input_count: int, output_count: int) 
         reason = " ".join(str(error).split())
         raise SceneError(f"{path}: is not a network of the kind {kind} trained by mocapfix ({reason}).") from error
     return Perceptron(mean, scale, weights, biases)
-
-
-def write_perceptron(path: Path, network: Perceptron, kind: str) -> None:
-    """Write a network in half precision, atomically. Raises WriteError if the folder cannot be written."""
-    tensors = {"input_mean": network.input_mean.astype(np.float32), "input_scale": network.input_scale.astype(np.float32)}
-    for i, (weights, biases) in enumerate(zip(network.weights, network.biases, strict=True)):
-        tensors |= {f"weights.{i}": weights.astype(np.float16), f"offsets.{i}": biases.astype(np.float16)}
-    metadata = {"mocapfix": json.dumps({"kind": kind, "joints": load_cmu31_skeleton().names})}
-    with replace_atomically(path) as temporary:
-        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
 
 
 SIDE_CHAINS = (("UpLeg", "Leg", "Foot", "ToeBase"), ("Shoulder", "Arm", "ForeArm", "Hand", "FingerBase", "HandIndex1"))

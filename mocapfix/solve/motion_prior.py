@@ -17,10 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file
 
 from mocapfix.errors import SceneError
-from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.kernels import lie
 from mocapfix.model.skeleton import load_cmu31_body
@@ -388,12 +387,6 @@ def read_motion_prior(path: Path) -> MotionPrior:
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise SceneError(f"{path}: is not a motion prior trained by mocapfix ({' '.join(str(error).split())}).") from error
     return model
-
-
-def write_motion_prior(path: Path, model: MotionPrior) -> None:
-    """Write a motion prior in half precision, atomically. Raises WriteError if the folder cannot be written."""
-    with replace_atomically(path) as temporary:
-        save_file({name: values.astype(np.float16) for name, values in model.tensors.items()}, temporary)
 
 
 MOTION_VARIANCE_FACTOR = 2.0  # of the predicted variance: new people and captures differ from the training data

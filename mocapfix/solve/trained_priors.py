@@ -20,10 +20,8 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Float32
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
 from mocapfix.errors import SceneError
-from mocapfix.io.files import replace_atomically
 from mocapfix.io.shipped import find_shipped_folder, is_existing_file
 from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve.pose_prior import GaussianModel, Header, MixtureModel, PoseModel, Tensors, validate_tensors
@@ -319,14 +317,6 @@ def load_pose_model(name: str, skeleton: Skeleton) -> PoseModel:
         raise SceneError(f"{path}: is not a prior trained by mocapfix ({' '.join(str(error).split())}).") from error
     joints = ", ".join(joint_names)
     raise SceneError(f"{path}: was trained for the joints {joints}, in this order; the joints of the skeleton differ.")
-
-
-def save_pose_model(path: Path, model: PoseModel) -> None:
-    """Write a model, replacing the file atomically. Raises WriteError if the folder cannot be written."""
-    header, tensors = model.serialise()
-    metadata = {"mocapfix": json.dumps({"kind": model.kind, "joints": model.joint_names, **header})}
-    with replace_atomically(path) as temporary:
-        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
 
 
 MODEL_CLASSES: dict[str, type[PoseModel]] = {each.kind: each for each in (GaussianModel, MixtureModel, AutoencoderModel)}

@@ -8,7 +8,7 @@ import yaml
 from mocapfix.errors import ReadError
 from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.io.yaml_files import read_yaml_model
-from mocapfix.lab import motion_training, motion_windows, settings
+from mocapfix.lab import motion_training, settings
 from mocapfix.solve.motion_prior import read_motion_prior
 from tests.lab.motion_files import draw_motion, write_bvh_motion
 
@@ -38,7 +38,7 @@ def build_settings(**changes):
 
 
 def fit(motion, checkpoint, **changes):
-    stretches = motion_windows.gather_motion_stretches([motion], lambda subject: subject in ("01", "14"), lambda text: None)
+    stretches = motion_training.gather_motion_stretches([motion], lambda subject: subject in ("01", "14"), lambda text: None)
     losses = []
     network = motion_training.fit_motion_network(build_settings(**changes), stretches, checkpoint, losses.append)
     return network, [float(text.split()[-1]) for text in losses]
@@ -69,7 +69,7 @@ def test_interrupted_training_ends_with_the_same_weights(motion, tmp_path, monke
     def interrupt(text):
         raise KeyboardInterrupt
 
-    stretches = motion_windows.gather_motion_stretches([motion], lambda subject: subject in ("01", "14"), lambda text: None)
+    stretches = motion_training.gather_motion_stretches([motion], lambda subject: subject in ("01", "14"), lambda text: None)
     with pytest.raises(KeyboardInterrupt):
         motion_training.fit_motion_network(build_settings(), stretches, tmp_path / "part", interrupt)
     resumed = motion_training.fit_motion_network(build_settings(), stretches, tmp_path / "part", lambda text: None)
@@ -96,6 +96,6 @@ def test_scores_of_an_untrained_network_are_those_of_interpolation(motion, tmp_p
     model = motion_training.extract_motion_weights(network)
     model.tensors["output.weight"][:] = 0
     model.tensors["output.bias"][:] = 0
-    stretches = motion_windows.gather_motion_stretches([motion], lambda subject: subject == "03", lambda text: None)
+    stretches = motion_training.gather_motion_stretches([motion], lambda subject: subject == "03", lambda text: None)
     scores = motion_training.compute_gap_scores(model, stretches, build_settings())
     np.testing.assert_allclose(scores.predicted_m, scores.interpolated_m, rtol=1e-4)

@@ -11,6 +11,7 @@ from safetensors.numpy import load_file, save_file
 
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder
+from mocapfix.lab.cards import write_pose_model
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import trained_priors
 from mocapfix.solve.pose_prior import GaussianModel
@@ -30,7 +31,7 @@ def gaussian():
 
 
 def test_saved_gaussian_is_restored(tmp_path, gaussian):
-    trained_priors.save_pose_model(tmp_path / "mine.safetensors", gaussian)
+    write_pose_model(tmp_path / "mine.safetensors", gaussian)
     loaded = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     assert isinstance(loaded, GaussianModel)
     np.testing.assert_allclose(loaded.decode(CODES), gaussian.decode(CODES), atol=1e-6)
@@ -43,7 +44,7 @@ def test_saved_network_is_restored(tmp_path, features, activation):
     model = draw_model(features, activation)
     halved = {name: weight.astype(np.float16).astype(np.float32) for name, weight in model.weights.items()}
     model = replace(model, weights=halved)
-    trained_priors.save_pose_model(tmp_path / "mine.safetensors", model)
+    write_pose_model(tmp_path / "mine.safetensors", model)
     loaded = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     np.testing.assert_allclose(loaded.decode(CODES), model.decode(CODES), atol=1e-5)
     np.testing.assert_allclose(loaded.linearise(CODES)[1], model.linearise(CODES)[1], atol=1e-4)
@@ -53,7 +54,7 @@ def test_saved_network_is_restored(tmp_path, features, activation):
 def save_changed(tmp_path, model, change):
     """Return the path of a saved model whose header and tensors have been changed."""
     path = tmp_path / "mine.safetensors"
-    trained_priors.save_pose_model(path, model)
+    write_pose_model(path, model)
     header, tensors = {"kind": model.kind, "joints": model.joint_names, **model.serialise()[0]}, load_file(path)
     change(header, tensors)
     save_file(tensors, path, {"mocapfix": json.dumps(header)})
@@ -88,7 +89,7 @@ def test_model_of_other_joints_raises(tmp_path, gaussian):
     path = save_changed(tmp_path, gaussian, lambda header, tensors: header.update(joints=SKELETON.names[::-1]))
     with pytest.raises(SceneError, match="in this order"):
         trained_priors.load_pose_model(path, SKELETON)
-    trained_priors.save_pose_model(tmp_path / "mine.safetensors", gaussian)
+    write_pose_model(tmp_path / "mine.safetensors", gaussian)
     with pytest.raises(SceneError, match="in this order"):
         trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), replace(SKELETON, names=SKELETON.names[:-1]))
 
@@ -121,7 +122,7 @@ def test_twist_regressor_is_not_a_pose_prior():
 
 def test_gaussian_does_not_import_torch(tmp_path, gaussian):
     path = tmp_path / "mine.safetensors"
-    trained_priors.save_pose_model(path, gaussian)
+    write_pose_model(path, gaussian)
     code = (
         "import sys; from mocapfix.solve import trained_priors; from mocapfix.model.skeleton import load_cmu31_body; "
         f"trained_priors.load_pose_model({str(path)!r}, load_cmu31_body().skeleton); print('torch' in sys.modules)"

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from mocapfix.lab.cards import write_pose_model
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import trained_priors
 from mocapfix.solve.pose_prior import MixtureModel
@@ -73,7 +74,7 @@ def test_linearisation_predicts_the_change_of_the_decoded_pose(mixture):
 
 
 def test_saved_mixture_is_restored(mixture, tmp_path):
-    trained_priors.save_pose_model(tmp_path / "mine.safetensors", mixture)
+    write_pose_model(tmp_path / "mine.safetensors", mixture)
     loaded = trained_priors.load_pose_model(str(tmp_path / "mine.safetensors"), load_cmu31_body().skeleton)
     assert isinstance(loaded, MixtureModel)
     at = build_poses(mixture, RNG.normal(size=(5, 3)))

@@ -6,6 +6,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
+from mocapfix.lab.cards import write_weights
 from mocapfix.solve import motion_prior
 from mocapfix.solve.motion_prior import INNER_COUNT, TOKEN_COUNT, build_motion_tree, count_features, count_outputs
 
@@ -103,14 +104,14 @@ def test_joint_that_is_never_known_is_not_predicted(prior):
 
 
 def test_file_has_the_same_weights(prior, tmp_path):
-    motion_prior.write_motion_prior(tmp_path / "mine.safetensors", prior)
+    write_weights(tmp_path / "mine.safetensors", prior.tensors)
     again = motion_prior.read_motion_prior(tmp_path / "mine.safetensors")
     for name, values in prior.tensors.items():
         np.testing.assert_array_equal(again.tensors[name], values)
 
 
 def test_other_files_raise(tmp_path):
-    motion_prior.write_motion_prior(tmp_path / "part.safetensors", motion_prior.MotionPrior({"input.weight": np.ones(3)}))
+    write_weights(tmp_path / "part.safetensors", {"input.weight": np.ones(3)})
     (tmp_path / "text.safetensors").write_text("weights", encoding="utf-8")
     for name in ("part", "text", "absent"):
         with pytest.raises(SceneError, match=f"{name}.safetensors: is not a motion prior"):

@@ -16,10 +16,10 @@ from mocapfix.solve import (
     initial_motion,
     kinematics,
     mean_pose,
+    motion_solver,
     occluded_joints,
     pose_problem,
     trained_priors,
-    window_solver,
 )
 from mocapfix.solve.mean_pose import load_joint_limits
 from mocapfix.solve.prior_conditioner import PriorConditioner
@@ -235,7 +235,7 @@ def test_limb_that_was_left_behind_is_solved_again(exact):
     right = root_position.copy(), local_rotations.copy()
     local_rotations[frames, NAMES.index("LeftArm")] = local_rotations[frames, NAMES.index("LeftArm")] @ compute_turn_x(2.5)
     own = root_position.copy(), local_rotations.copy()  # the frame's own solution lost the arm as well
-    window_solver.recover_lost_limbs(
+    motion_solver.recover_lost_limbs(
         problem,
         truth.subject,
         MEAN,

@@ -5,7 +5,8 @@ import pytest
 from safetensors.numpy import save_file
 
 from mocapfix.errors import SceneError
-from mocapfix.solve.learned_ik import IK_KIND, load_shipped_ik_network, read_ik_network, write_perceptron
+from mocapfix.lab.cards import write_perceptron
+from mocapfix.solve.learned_ik import IK_KIND, load_shipped_ik_network, read_ik_network
 from tests.solve.ik_cases import build_network
 
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.errors import SceneError
 from mocapfix.kernels.hybrik import compute_swing, compute_twist
 from mocapfix.lab import sound_takes
+from mocapfix.lab.cards import write_twist_regressor
 from mocapfix.lab.frame_pairs import compute_twists
 from mocapfix.lab.training_poses import mirror_joint_name
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
@@ -24,7 +25,6 @@ from mocapfix.solve.hybrik import (
     compute_span_directions,
     load_shipped_regressor,
     read_twist_regressor,
-    write_twist_regressor,
 )
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
 from tests.kernels import random_terms
