@@ -58,7 +58,7 @@ from mocapfix.model.windows import (
 )
 from mocapfix.options import FEET_OFF, CleanOptions, check_take_options
 from mocapfix.report.build_report import build_inspection_report, build_report
-from mocapfix.report.notes import SolvedBody, build_solved_body, describe_computed_points, describe_up_axis
+from mocapfix.report.notes import SolvedBody, build_solved_body, describe_computed_points, describe_frame_steps, describe_up_axis
 from mocapfix.report.report import InspectionReport
 from mocapfix.result import CleanedSubject, CleaningResult, join_windows, merge_results
 from mocapfix.review.apply_decisions import apply_decisions, update_computed_points
@@ -575,7 +575,7 @@ def inspect(
     def inspect_one(take: Take) -> InspectionReport:
         choice = identify_subject(take, options.subject)
         choice, detected, _ = detect_and_fit(take, choice, FaultReview(), options, StageTimer(report_progress=progress))
-        notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take)]
+        notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take), *describe_frame_steps(take)]
         if marker_set := choice.marker_set:
             notes.append(describe_marker_set_match(marker_set, take.labels))
         else:

@@ -122,7 +122,10 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
     feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
     if not len(joint_position) or not np.isfinite(joint_position[:, feet]).all():
         return build_no_contacts(len(joint_position), rate)
-    contacts = find_foot_contacts(joint_position[:, feet], motion.joint_sd[:, feet], rate)
+    hips = joint_position[:, skeleton.names.index("Hips"), 1]
+    is_possible = ~(joint_position[:, feet, 1] > hips[:, None])  # feet above the hips are those of one who lies, sits or hangs
+    is_possible &= (np.nanmin(motion.joint_sd, axis=1) <= MAX_SHOWN_JOINT_SD_M)[:, None]  # no marker: not there
+    contacts = find_foot_contacts(joint_position[:, feet], motion.joint_sd[:, feet], rate, is_possible)
     others = [skeleton.names.index(joint) for joint in OTHER_CONTACT_JOINTS]
     if contacts.floor is NO_FLOOR:
         return contacts
@@ -134,7 +137,12 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
     return BodyContacts(joints, is_contact, probability, is_known, contacts.floor, rate)
 
 
-def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarray, "T C"], rate: float) -> BodyContacts:
+def find_foot_contacts(
+    position: Float[np.ndarray, "T C 3"],
+    sd: Float[np.ndarray, "T C"],
+    rate: float,
+    is_possible: Bool[np.ndarray, "T C"] | bool = True,
+) -> BodyContacts:
     """Find the contacts of both feet, from the positions of CONTACT_JOINTS and their standard deviations per axis, in metres."""
     stands, is_known, logit = find_shown_standing(position, sd, rate)
     if stands.any() and not is_known.all():
@@ -143,10 +151,11 @@ def find_foot_contacts(position: Float[np.ndarray, "T C 3"], sd: Float[np.ndarra
         frames, at = np.arange(len(position)) / rate, np.arange(len(hidden)) / FEATURE_RATE_HZ
         logit = np.where(is_known, logit, _resample(hidden, at, frames))
         stands = np.where(is_known, stands, logit > MIN_CONTACT_LOGIT)
+    stands &= is_possible
     shown = stands[:, TOES] & is_known[:, TOES].all(1, keepdims=True)  # the other foot may stand lower where no marker shows it
     floor = estimate_floor(position[:, TOES], shown if shown.any() else stands[:, TOES], rate)
-    is_above = stands & is_known & ~find_frames_near_floor(position, stands, floor)
-    return BodyContacts(CONTACT_JOINTS, *decode_contacts(np.where(is_above, -np.inf, logit), rate), is_known, floor, rate)
+    is_off = stands & is_known & ~find_frames_near_floor(position, stands, floor) | ~np.asarray(is_possible)
+    return BodyContacts(CONTACT_JOINTS, *decode_contacts(np.where(is_off, -np.inf, logit), rate), is_known, floor, rate)
 
 
 def find_shown_standing(

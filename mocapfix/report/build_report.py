@@ -330,7 +330,8 @@ def build_report(
         prior = NO_TRAINED_PRIOR if options.initialise.is_fast else prior, options.solve.prior_scale
         solve = build_solve_section(take, body.subject, body.motion, body.residual_m, *prior, start, lost_parts=body.lost_parts)
         body_notes += [PREVIEW_NOTE] * options.initialise.is_fast
-        body_notes += notes.build_body_notes(detected, body, is_preview=options.initialise.is_fast)
+        is_given = subject.subject is not None and not (subject.marker_set and subject.marker_set.point_sd)  # keypoints are noisy
+        body_notes += notes.build_body_notes(detected, body, is_preview=options.initialise.is_fast, has_given_subject=is_given)
         floor_m = options.output.floor_height_m
         body_notes += describe_contacts(body.contacts, options.contacts.feet, floor_m, MARKER_TERMS)
     elif options.initialise.is_fast:
@@ -353,6 +354,7 @@ def build_report(
             *take.notes,
             *notes.describe_up_axis(take),
             *notes.describe_computed_points(decided.take),
+            *notes.describe_frame_steps(detected.take),
             *subject.notes,
             *detected.notes,
             *body_notes,

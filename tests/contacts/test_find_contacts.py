@@ -198,6 +198,21 @@ def test_a_still_body_stands_on_both_feet_alone():
     assert not contacts.is_contact[:, 4:].any()
 
 
+def test_feet_above_the_hips_and_those_of_a_body_that_no_marker_shows_do_not_stand():
+    motion, position = place_body(240)
+    position[:120, SKELETON.names.index("Hips"), 1] = 0.02  # lies, with its toes up
+    position[:120, [SKELETON.names.index(joint) for joint in CONTACT_JOINTS], 1] = 0.2
+    contacts = find_contacts(SKELETON, motion, position, 120.0)
+    assert contacts.floor.level_heights_m == pytest.approx((0.0,))
+    assert not contacts.is_contact[:115, :4].any()
+    assert contacts.is_contact[125:, :4].all()
+    motion, position = place_body(240)
+    motion.joint_sd[120:] = 0.05
+    contacts = find_contacts(SKELETON, motion, position, 120.0)
+    assert contacts.is_contact[:120, :4].all()
+    assert not contacts.is_contact[120:].any()
+
+
 def test_a_body_without_feet_has_no_contacts():
     motion, position = place_body(120)
     position[:, SKELETON.names.index("LeftFoot")] = np.nan

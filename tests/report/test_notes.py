@@ -10,6 +10,7 @@ from mocapfix.model.faults import Fault
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.report.notes import (
+    describe_frame_steps,
     describe_hands,
     describe_lost_part,
     describe_remembered_gaps,
@@ -42,6 +43,18 @@ def test_a_marker_far_from_the_body_in_most_frames_may_have_a_wrong_label():
     ]
 
 
+def test_a_given_subject_that_no_marker_fits_is_named_and_not_the_labels():
+    residual_m = np.full((FRAMES, 3), 0.0123)
+    residual_m[:, 0] = 0.07
+    assert describe_stray_markers(build_take("A", "B", "C"), residual_m, has_given_subject=True) == [
+        "Half of the samples are more than 12 mm from where the subject file has their markers: it is another person's, or the "
+        "markers were attached again. Leave out --subject, or calibrate again."
+    ]
+    residual_m[:, 1:] = 0.007  # attached again, 5 mm off
+    (note,) = describe_stray_markers(build_take("A", "B", "C"), residual_m, has_given_subject=True)
+    assert note.startswith("A is more than 60 mm")
+
+
 def test_a_marker_far_from_the_body_for_a_while_is_listed_with_its_frames():
     residual_m = np.full((FRAMES, 2), 0.01)
     residual_m[10:15, 0] = [0.11, 0.12, 0.15, 0.2, 0.3]  # 0.05 s
@@ -72,6 +85,29 @@ def test_samples_that_another_note_describes_are_not_listed():
     described[:, 0] = True
     (note,) = describe_stray_markers(build_take("A", "B"), residual_m, (), described)
     assert note.startswith("B, ")
+
+
+@pytest.mark.parametrize("rate", [30.0, 120.0, 1000.0])
+def test_jumps_repeats_and_absences_of_all_markers_are_named_with_their_frames(rate):
+    labels = tuple("ABCDEFGH")
+    path = np.arange(9000)[:, None, None] * np.array([2.4, 0.0, 0.6]) / rate
+    markers = path + np.arange(8)[:, None] * 0.1 + np.random.default_rng(0).normal(0, 0.0003, (9000, 8, 3))
+    take = Take(markers, labels, rate, 101)
+    assert describe_frame_steps(take) == []
+    markers[4094:, :7] += [0.0, 0.0, 0.4]  # one marker of eight stays
+    assert describe_frame_steps(take) == [
+        "All markers jump at frame 4195: frames are missing before, or takes were joined. Cut the take there: fills and motion "
+        "beside it are not reliable."
+    ]
+    markers[4094:, :7] -= [0.0, 0.0, 0.4]
+    markers[101:103] = markers[100]
+    markers[8000:8400] = np.nan
+    absent = ["No marker is visible in frames 8101–8500: any motion there is a guess."] * (rate < 1000.0)  # 0.4 s
+    repeats = "2 frames repeat the frame before (202–203) while the body moves: the recording was held, or its rate was raised"
+    assert describe_frame_steps(Take(markers, labels, rate, 101)) == [f"{repeats} (--rate).", *absent]
+    assert describe_frame_steps(replace(take, markers=np.repeat(markers[:1], 50, axis=0))) == []  # at rest
+    for frames in range(4):
+        assert describe_frame_steps(replace(take, markers=markers[:frames])) == []
 
 
 def build_lost_arm(*frames):
