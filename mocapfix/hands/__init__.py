@@ -3,8 +3,7 @@
 - `hand_model`: the skeleton of a hand, its limits and its prior
 - `finger_markers`: the finger markers of marker sets, and which of them a take has
 - `calibrated_hand`: the hand of a person with its markers, and the terms of its poses
-- `closed_form`: where the solve of every frame starts: the pose from its points in closed form
 - `calibration`: what is the same in all frames of a take
-- `solve_hands`: the motion of both hands
+- `solve_hands`: the motion of both hands, from first poses in closed form
 - `finger_labels`: labels that fingers exchange
 """

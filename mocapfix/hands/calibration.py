@@ -25,7 +25,7 @@ from mocapfix.hands.hand_model import HAND_JOINTS, RAY_BASES, RAY_ROOTS, TIP_JOI
 from mocapfix.solve.kinematics import Poses, compute_tree_poses
 from mocapfix.solve.minimise import compute_costs, minimise_shared
 from mocapfix.solve.terms import MarkerAttachment, compute_robust_weights
-from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
+from mocapfix.stats.rigid_alignment import build_cross_matrices, compute_rotation_vectors, compute_rotations
 from mocapfix.stats.sequences import sample_evenly
 
 MAX_CALIBRATION_FRAMES = 40
@@ -205,14 +205,14 @@ class _HandCalibration:
         of_pose = np.zeros((*place.shape, self.pose_size))
         of_unknowns, of_bones = np.zeros((*place.shape, self.size)), np.zeros((*place.shape, len(HAND_JOINTS) + len(TIP_JOINTS)))
         of_pose[..., :3] = np.eye(3)
-        of_pose[..., 3:6] = -_build_cross_matrices(place - position[:, :1])
+        of_pose[..., 3:6] = -build_cross_matrices(place - position[:, :1])
         length, bones, *_ = np.split(unknowns, self.splits)
         model, parents = self.start.model, hand.model.skeleton.parents
         factors = (1 + model.length_relative_sd * length) * (1 + model.bone_relative_sd * bones)
         for index, joint in enumerate(HAND_JOINTS):
             last = RAY_ROOTS[index // 3] + 3
             beyond = np.flatnonzero((points.joints >= joint) & (points.joints <= last))
-            lever = _build_cross_matrices(place[:, beyond] - position[:, joint, None])
+            lever = build_cross_matrices(place[:, beyond] - position[:, joint, None])
             of_pose[:, beyond, :, 6 + 3 * index : 9 + 3 * index] = -lever @ rotation[:, None, parents[joint]]
             parent = 0 if index == 0 else parents[joint]  # the root of the thumb's ray moves with its first joint
             of_bones[..., index][:, beyond] = ((position[:, joint] - position[:, parent]) / factors[index])[:, None]
@@ -249,17 +249,10 @@ class _HandCalibration:
         return np.sqrt((deviations**2).sum(-1).mean((0, 2)))
 
 
-def _build_cross_matrices(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Return the matrices whose products with other vectors are the cross products."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vectors.shape, 3)
-
-
 def _compute_logarithm_derivative(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the derivatives of rotation vectors to a further turn about their parents' axes (Sola et al. 2018, Eq. 146)."""
     half = np.maximum(np.linalg.norm(vectors, axis=-1), 1e-4)[..., None, None] / 2
-    cross = _build_cross_matrices(vectors)
+    cross = build_cross_matrices(vectors)
     return np.eye(3) - cross / 2 + (1 - half / np.tan(half)) / (2 * half) ** 2 * (cross @ cross)
 
 

@@ -31,10 +31,9 @@ from mocapfix.characters.fingers import measure_finger
 from mocapfix.characters.load_character import load_character
 from mocapfix.errors import SceneError
 from mocapfix.hands.calibrated_hand import CalibratedHand, PalmPath
-from mocapfix.hands.closed_form import pose_in_closed_form
 from mocapfix.hands.finger_markers import SIDES, FingerMarkers, load_finger_schemes
 from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, RAYS, TIP_JOINTS, HandModel, Side, load_hand
-from mocapfix.hands.solve_hands import HandMotion, solve_hands
+from mocapfix.hands.solve_hands import HandMotion, pose_in_closed_form, solve_hands
 from mocapfix.io.c3d import write_c3d
 from mocapfix.lab.uncertainty import PredictedErrors, summarise_errors
 from mocapfix.model.body_fit import BodyFit
@@ -401,7 +400,7 @@ def measure_finger_noise(report_progress: Callable[[str], None] = lambda _: None
     hand = CalibratedHand(model, model.palm_position, np.eye(3), markers, points.marker_offsets, np.zeros(20))
     angles, rng = compose_angles(np.random.default_rng(0), FINGER_POSES), np.random.default_rng(1)
     angles[:, 5::3, 0] = angles[:, 4::3, 0] * 2 / 3
-    vectors = np.pad(angles[..., ::-1], ((0, 0), (0, 0), (1, 0)))
+    vectors = np.concatenate([np.zeros((*angles.shape[:2], 1)), angles[..., ::-1]], axis=2)
     poses = np.zeros((FINGER_POSES, 3)), np.tile(model.skeleton.rest_rotations, (FINGER_POSES, 1, 1, 1))
     poses[1][:, HAND_JOINTS] = compute_rotations(model.compute_angles(vectors))
     poses[1][:, 0] = Rotation.random(FINGER_POSES, rng).as_matrix()

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError, SceneError, format_name_list
-from mocapfix.robots.robot import CollisionPrimitives, Robot
+from mocapfix.robots.robot import Robot
+from mocapfix.solve.trajectory import CollisionTerm
 
 FREE, BALL, SLIDE, HINGE = 0, 1, 2, 3  # MuJoCo's types of joints
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = 2, 3, 4, 5, 6, 7  # and of shapes
@@ -157,8 +158,8 @@ def _list_couplings(model: Any, joints: list[int], path: Path) -> tuple[tuple[in
     return tuple(found.values())
 
 
-def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
-    """Return the shapes that can collide."""
+def _build_collision(model: Any, index: dict[int, int]) -> CollisionTerm:
+    """Return the shapes that can collide, which keep no distance yet."""
     capsules: list[tuple[int, np.ndarray, np.ndarray, float, bool]] = []  # shape, ends, radius, whether it is part of a box
     boxes: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
     for geom in range(model.ngeom):
@@ -208,7 +209,7 @@ def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
         for j, other in enumerate(boxes)
         if not one[4] and may_collide(model, one[0], other[0])
     ]
-    return CollisionPrimitives(
+    return CollisionTerm(
         np.array([index[int(model.geom_bodyid[each[0]])] for each in capsules], int),
         np.array([each[1:3] for each in capsules], float).reshape(-1, 2, 3),
         np.array([each[3] for each in capsules], float),
@@ -218,6 +219,8 @@ def _build_collision(model: Any, index: dict[int, int]) -> CollisionPrimitives:
         np.array([each[2] for each in boxes], float).reshape(-1, 3, 3),
         np.array([each[3] for each in boxes], float).reshape(-1, 3),
         np.array(box_pairs, int).reshape(-1, 2),
+        0.0,
+        0.0,
     )
 
 

@@ -10,29 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.solve.trajectory import CollisionTerm
+
 SIDES = ("left", "right")
 LIMBS = tuple(f"{side}_{limb}" for side in SIDES for limb in ("upper_arm", "forearm", "thigh", "shin"))
 """The segments whose directions a robot keeps."""
 SOLE_CORNERS = ("heel left", "heel right", "toe left", "toe right")
-
-
-@dataclass(frozen=True)
-class CollisionPrimitives:
-    """C capsules on the links, whose ends coincide where they are spheres, and B boxes.
-
-    A box also has a row of capsules inside it, for pairs of two boxes. Pairs are of links that the file lets meet and that are
-    more than two joints apart.
-    """
-
-    links: Int[np.ndarray, " C"]
-    ends: Float[np.ndarray, "C 2 3"]  # in the axes of the link, metres
-    radii: Float[np.ndarray, " C"]  # metres
-    pairs: Int[np.ndarray, "P 2"]  # capsules, neither or both of which are parts of boxes
-    box_links: Int[np.ndarray, " B"]
-    box_centres: Float[np.ndarray, "B 3"]  # in the axes of the link, metres
-    box_rotations: Float[np.ndarray, "B 3 3"]  # box axes to link axes
-    box_halves: Float[np.ndarray, "B 3"]  # half the lengths of the edges, metres
-    box_pairs: Int[np.ndarray, "Q 2"]  # capsules that are no parts of boxes, and boxes
 
 
 @dataclass(frozen=True)
@@ -59,7 +42,9 @@ class Robot:
     speed_limits: Float[np.ndarray, " N"]  # radians or metres per second, infinite where no file states one
     # joints that follow others: follower, leader, offset, factor
     couplings: tuple[tuple[int, int, float, float], ...]
-    collision: CollisionPrimitives
+    # in the axes of the links: capsules, whose ends coincide where they are spheres, and boxes, each also with a row of capsules
+    # inside it, for pairs of two boxes; pairs are of links that the file lets meet and that are more than two joints apart
+    collision: CollisionTerm
     outline: tuple[tuple[int, Float[np.ndarray, "P 3"]], ...] = ()  # links and corners of their meshes, or their sites, metres
     notes: tuple[str, ...] = ()  # sentences for the report on how the file was read
 

@@ -17,7 +17,6 @@ from mocapfix.robots.robot import SIDES, LinkPoint, Robot, RobotMap
 from mocapfix.robots.robot_map import SOLE_SHARES, StandingRobot, stand_robot
 from mocapfix.solve.trajectory import (
     BalanceTerm,
-    CollisionTerm,
     FloorTerm,
     HingedTerms,
     HingedTree,
@@ -210,17 +209,12 @@ def compute_robot_targets(
         for end, joint in enumerate(joints)
     }
     pelvis = _convert_rotations(motion.rotation["pelvis"])
-    each = body.robot.collision
-    collision = CollisionTerm(
-        each.links, each.ends, each.radii, each.pairs, each.box_links, each.box_centres, each.box_rotations, each.box_halves,
-        each.box_pairs, COLLISION_DISTANCE_M, COLLISION_SD_M**-2,
-    )  # fmt: skip
     terms = HingedTerms(
         _build_place_term(body, path),
         _build_floor_term(body),
         _build_line_term(body, source, motion, is_solved),
         _build_rotation_term(body, motion, count),
-        collision,
+        body.robot.collision._replace(distance=COLLISION_DISTANCE_M, weight=COLLISION_SD_M**-2),
         _build_balance_term(body, source, motion, contacts, scale),
     )
     return RobotTargets(terms, rate, path, pelvis, runs, scale * np.stack(levels, axis=1))

@@ -54,7 +54,7 @@ from mocapfix.solve.pose_problem import (
 from mocapfix.solve.prior_conditioner import PriorConditioner, apply_pose_prior
 from mocapfix.solve.terms import TrackingTerm, build_pose_prior_term, compute_robust_costs
 from mocapfix.stats.gaussian_process import CHI2_MEDIAN_3_DOF
-from mocapfix.stats.rigid_alignment import compute_lengths
+from mocapfix.stats.rigid_alignment import build_cross_matrices, compute_lengths
 from mocapfix.stats.sequences import find_runs, group_gaps, interpolate_rows
 
 MIN_ESTIMATED_MARKER_SD_M = 0.001  # smallest estimate of the marker error per axis
@@ -148,8 +148,7 @@ def compute_unsolved_joint_variance(
             continue
         rotated = np.eye(3) - np.linalg.pinv(prior.locked_information[parent]) @ prior.locked_information[parent]
         covariance = rotated @ np.linalg.inv(prior.information[parent]) @ rotated
-        x, y, z = subject.skeleton.offsets[j]
-        lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        lever = build_cross_matrices(subject.skeleton.offsets[j])
         variance[j] = variance[parent] + np.trace(lever @ covariance @ lever.T) / 3
     return variance
 

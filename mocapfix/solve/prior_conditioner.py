@@ -29,7 +29,7 @@ from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.pose_prior import PoseModel, compute_pose_vectors
 from mocapfix.solve.pose_problem import PoseProblem
 from mocapfix.solve.terms import PointTerm, PosePriorTerm, build_no_tracking
-from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
+from mocapfix.stats.rigid_alignment import build_cross_matrices, compute_rotation_vectors, compute_rotations
 from mocapfix.stats.sequences import interpolate_rows, sample_evenly
 
 OBSERVED_JOINT_SD_RAD = 0.05  # standard deviation of the rotation of a joint with markers
@@ -193,9 +193,7 @@ def compute_left_jacobian(vectors: Float[np.ndarray, "N F 3"]) -> Float[np.ndarr
     angle2 = (vectors**2).sum(-1)
     angle = np.sqrt(np.maximum(angle2, SMALL_ANGLE_RAD**2))
     first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vectors.shape, 3)
+    cross = build_cross_matrices(vectors)
     return np.eye(3) + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
 
 

@@ -98,6 +98,13 @@ def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np
     return scipy.spatial.transform.Rotation.from_quat(quaternion).as_matrix()
 
 
+def build_cross_matrices(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the matrices whose products with other vectors are the cross products."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vectors.shape, 3)
+
+
 def scale_rotations(rotations: Float[np.ndarray, "*batch 3 3"], share: float | np.ndarray) -> Float[np.ndarray, "*batch 3 3"]:
     """Return rotations about the same axes by a share of the angles, NaN where the rotations are."""
     return compute_rotations(compute_rotation_vectors(rotations) * share)

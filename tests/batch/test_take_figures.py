@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline
+from mocapfix.batch.jobs import describe_moment, draw_worst_moment, measure_result
 from mocapfix.batch.records import SubjectFigures
-from mocapfix.batch.take_figures import describe_moment, draw_worst_moment, measure_result
 from mocapfix.cli.clean import print_summary
 from mocapfix.io.changes_file import NO_REVIEW
 from mocapfix.io.yaml_files import ChangesFileModel, read_yaml_model

@@ -5,8 +5,8 @@ import pytest
 
 from mocapfix.hands import calibrated_hand
 from mocapfix.hands.calibrated_hand import PalmPath
-from mocapfix.hands.closed_form import pose_in_closed_form, predict_saddle_twist
 from mocapfix.hands.hand_model import HAND_JOINTS, RAY_ROOTS, load_hand
+from mocapfix.hands.solve_hands import pose_in_closed_form, predict_saddle_twist
 from mocapfix.stats.rigid_alignment import compute_rotation_vectors, compute_rotations
 from tests.hands.composed_hands import FRAMES, build_hand, carry_markers, compose_poses
 
