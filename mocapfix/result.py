@@ -133,7 +133,7 @@ class CleaningResult:
         folder: str | Path,
         overwrite: bool = False,
         report_progress: ProgressCallback | None = None,
-        options: OutputOptions = DEFAULT_OUTPUT_OPTIONS,
+        options: OutputOptions | None = None,
     ) -> dict[str, Path]:
         """Write all outputs into a folder, which is created if necessary.
 
@@ -144,7 +144,7 @@ class CleaningResult:
             folder: Where the outputs go.
             overwrite: Whether outputs that exist are replaced.
             report_progress: Called with the name of each stage when it begins.
-            options: Which formats are written, and how.
+            options: Which formats are written, and how; by default those with which the take was cleaned.
 
         Returns:
             The paths by suffix; with several subjects "Jim.bvh" and the like, and one cleaned file.
@@ -152,7 +152,8 @@ class CleaningResult:
         Raises:
             WriteError: If a file exists (unless `overwrite`) or cannot be written.
         """
-        folder, stem, results = Path(folder), self._stem, self.subject_results or (self,)
+        options, folder = options or self.requested.output, Path(folder)
+        stem, results = self._stem, self.subject_results or (self,)
         subject_stems = [result.input_take.output_stem for result in results]
         targets = check_outputs_free(folder, stem, overwrite, self.input_take.path, options, subject_stems)
         make_output_folder(folder)

@@ -137,8 +137,8 @@ def test_outputs_of_an_earlier_run_with_a_body_are_removed(solved, without_body,
 def test_a_text_take_is_written_in_its_format_and_as_a_c3d_on_request(brief, tmp_path):
     source = tmp_path / "brief.trc"
     write_trc(source, capture.read_take(brief.path))
-    result = pipeline.clean(source, subject=brief.subject)
-    outputs = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("c3d", "trc", "npz")))
+    result = pipeline.clean(source, subject=brief.subject, extra_formats=("c3d", "trc", "npz"))
+    outputs = result.write(tmp_path / "out")
     assert [path.name for suffix, path in outputs.items() if suffix in ("trc", "c3d")] == ["brief.trc", "brief.c3d"]
     for suffix in ("trc", "c3d"):
         back = capture.read_take(outputs[suffix])
