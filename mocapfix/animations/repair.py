@@ -40,7 +40,7 @@ from mocapfix.stats.sequences import DENSE_TRAINING_MARGIN_S, find_runs, group_g
 
 LOST_KINDS = ("gap", "stuck")  # fault kinds whose values carry no information
 MAX_LOST_SHARE = 0.5  # of the joints that move; with more, the root is lost too
-MIN_STEADY_FRAMES = 3  # frames without jitter that the smoothing requires
+MIN_STEADY_FRAMES = 3  # frames without jitter that smoothing by the state of the body requires
 EXACT_VARIANCE_RAD2 = 1e-8  # variance of rotations without a fault
 MIN_JOINT_MOTION_RAD = 1e-3  # range of a rotation matrix's entries above which a joint counts as moving
 
@@ -52,6 +52,10 @@ class AnimationRepair(NamedTuple):
     local_rotations: Float[np.ndarray, "T J 3 3"]
     variance: Float[np.ndarray, "T N"]  # of repaired values, in rad^2 or m^2 per axis; 0 elsewhere
     method: Int[np.ndarray, "T N"]  # a RepairMethod for each value
+
+    def get_track(self, n: int) -> np.ndarray:
+        """Return a copy of a track: the rotations of a joint (T, 1, 3, 3) or the root position (T, 1, 3)."""
+        return self.local_rotations[:, [n]] if n < self.local_rotations.shape[1] else self.root_position[:, None].copy()
 
 
 def repair_animation(
@@ -132,21 +136,27 @@ def choose_estimate(
         span: The fault.
     """
     estimates = estimate(span)
-    if len(estimates) < 2 or not is_different(estimates[-1], estimates[0].values, parents, MIN_DIFFERENCE_RATIO):
+    if len(estimates) < 2:
         return estimates[0] if estimates else None
-    errors, weights = list[list[float]](), list[float]()
+    is_same = not is_different(estimates[-1], estimates[0].values, parents, MIN_DIFFERENCE_RATIO)
+    if is_same and len(span.frames) <= MAX_TRACKWISE_GAP_S * span.rate:
+        return estimates[0]
+    errors, predicted, weights = list[list[float]](), list[list[float]](), list[float]()
     for stretch, weight in find_similar_stretches(track, is_usable, span):
         tried = estimate(stretch)
         if len(tried) == len(estimates):
-            errors.append([_compare(each.values, track[stretch.frames], parents) for each in tried])
+            errors.append([_compare(each.values, track[stretch.frames], parents) + NEGLIGIBLE_DIFFERENCE for each in tried])
+            predicted.append([3 * float(each.variance.mean()) + NEGLIGIBLE_DIFFERENCE**2 for each in tried])
             weights.append(weight)
     if len(errors) < MIN_TRIALS:
-        return estimates[-1]
-    error_log = np.log(np.array(errors) + NEGLIGIBLE_DIFFERENCE)
+        return estimates[0 if is_same else -1]
+    error_log = np.log(np.array(errors))
     ratio_log = error_log - error_log[:, :1]
     mean = np.average(ratio_log, axis=0, weights=weights)
     sd = np.sqrt(np.average((ratio_log - mean) ** 2, axis=0, weights=weights))
-    return estimates[int(np.argmin(mean + CAUTION * sd))]
+    best = 0 if is_same else int(np.argmin(mean + CAUTION * sd))
+    squares, expected = (np.average(each, axis=0, weights=weights)[best] for each in (np.square(errors), np.array(predicted)))
+    return estimates[best]._replace(variance=estimates[best].variance * squares / expected)
 
 
 def is_different(estimate: SpanEstimate, interpolated: np.ndarray, parents: Int[np.ndarray, " L"], ratio: float) -> bool:
@@ -234,9 +244,8 @@ def _remove_offset(
 ) -> None:
     """Remove the offset of a pop, flip or spike, in place."""
     n, is_sound, span = fault.marker, ~is_faulty[:, fault.marker], FrameSpan(fault.first, fault.last, rate)
-    is_position = fault.kind == "spike"
-    track = (repair.root_position if is_position else repair.local_rotations[:, n])[:, None].copy()
-    if is_position:
+    track = repair.get_track(n)
+    if track.ndim == 3:
         values, variance = methods.remove_position_offset(track[:, 0], is_sound, span)
     else:
         joint = lie.extract_joint_quaternions(track, 0, is_sound)
@@ -247,15 +256,15 @@ def _remove_offset(
 
 
 def _smooth_jitter(repair: AnimationRepair, fault: Fault, is_faulty: np.ndarray, moving_joints: np.ndarray, rate: float) -> None:
-    """Smooth one joint's jitter, in place, if enough frames without faults remain."""
+    """Smooth the jitter of a track, in place: of the root, or where few frames are sound, by its own motion alone."""
     n, frames, span = fault.marker, fault.frame_slice, FrameSpan(fault.first, fault.last, rate)
-    is_sound = ~is_faulty[:, n]
+    track, is_sound = repair.get_track(n), ~is_faulty[:, n]
     is_usable = (moving_joints > 0) & (moving_joints != n) & ~is_faulty[frames][:, moving_joints].any(0)
     other_joints = moving_joints[is_usable]
     is_steady = is_sound & ~is_faulty[:, other_joints].any(1)
-    if is_steady.sum() < MIN_STEADY_FRAMES:
+    if n in (0, repair.local_rotations.shape[1]) or is_steady.sum() < MIN_STEADY_FRAMES:
+        _store_clear(repair, methods.smooth_own_jitter(track, is_sound, span, fault.severity), track, is_sound, n, span)
         return
-    track = repair.local_rotations[:, [n]]
     joint = lie.extract_joint_quaternions(track, 0, np.ones(len(track), bool))
     poses = repair.root_position, repair.local_rotations
     smoothed, variance = methods.smooth_joint_jitter(*poses, joint, other_joints, is_steady, span, fault.severity)
@@ -354,8 +363,7 @@ def _interpolate_gaps(
 
 def _interpolate_gap(repair: AnimationRepair, n: int, is_sound: Bool[np.ndarray, " T"], span: FrameSpan) -> None:
     """Interpolate track n across a span, in place."""
-    is_position = n == repair.local_rotations.shape[1]
-    track = (repair.root_position if is_position else repair.local_rotations[:, n])[:, None].copy()
+    track = repair.get_track(n)
 
     def estimate(at: FrameSpan) -> list[SpanEstimate]:
         return _interpolate_tracks(track, methods.exclude_span(is_sound, at)[:, None], at)
@@ -428,7 +436,8 @@ def apply_repairs(
     repaired_faults = [fault for fault in selected if is_repaired[fault.frame_slice][:, list(fault.markers)].any()]
     methods = np.where(is_repaired, np.array([REPAIR_DESCRIPTIONS[method] for method in RepairMethod], object)[repair.method], "")
     applied = [each for each, _ in changes.build_changes(before, before, own_points, repaired_faults, None, methods)]
-    unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", UNAPPLIED_CHANGE_REASON, rejection_reasons))
+    reasons = np.where(rejection_reasons == "", UNAPPLIED_CHANGE_REASON, rejection_reasons)
+    unfilled = find_unfilled_runs(after.masked(rejection_reasons == ""), reasons)  # also held values that stay
     return RepairedAnimation(
         repaired, before, after, joint_take, Faults(tuple(faults)), (*applied, *(each.to_change() for each in reviewed)), unfilled
     )

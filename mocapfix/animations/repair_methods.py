@@ -155,6 +155,7 @@ def _solve_offset(
 
 INTERPOLATION_TIMESCALE_S = 0.45  # time scale of the interpolated signals
 INTERPOLATION_NOISE_VARIANCE = 1e-4  # variance of a sample relative to the power of the signal
+MIN_POWER, POWER_ITERATIONS = 1e-12, 6  # of a signal; in which its power is found beside jitter
 MIN_QUATERNION_NORM = 1e-9  # of an interpolated quaternion: a smaller one is no rotation
 INTERPOLATION_MEAN_VARIANCE = 100.0  # variance of the mean of a signal relative to its power
 INTERPOLATION_CONTEXT_S = 0.6  # time on either side of a gap from which it is interpolated
@@ -223,10 +224,13 @@ def interpolate_body(
 
 
 def compute_interpolation_weights(
-    frames: Int[np.ndarray, " N"], span: FrameSpan
+    frames: Int[np.ndarray, " N"], span: FrameSpan, noise: Float[np.ndarray, " N"] | float = 0.0
 ) -> tuple[Float[np.ndarray, "n N"], Float[np.ndarray, " n"]]:
-    """Return the weights of known frames in a signal over a span, and its variance relative to the power of the signal."""
-    covariance = _compute_covariance(frames, span.rate)
+    """Return the weights of known frames in a signal over a span, and its variance relative to the power of the signal.
+
+    `noise` is the variance of known values by jitter, relative to this power.
+    """
+    covariance = _compute_covariance(frames, span.rate, noise)
     cross = INTERPOLATION_MEAN_VARIANCE + compute_matern_52(
         (span.frames[:, None] - frames) / span.rate, INTERPOLATION_TIMESCALE_S
     )
@@ -252,13 +256,36 @@ def interpolate_linearly(
 
 
 def interpolate_values(
-    known: Float[np.ndarray, "N C"], frames: Int[np.ndarray, " N"], span: FrameSpan
+    known: Float[np.ndarray, "N C"], frames: Int[np.ndarray, " N"], span: FrameSpan, noise_variance: np.ndarray | float = 0.0
 ) -> tuple[Float[np.ndarray, "n C"], Float[np.ndarray, " n"]]:
-    """Return a signal over a span, given its values in known frames, and its variance per number."""
-    weights, variance = compute_interpolation_weights(frames, span)
-    covariance = _compute_covariance(frames, span.rate)
-    power = float((known * np.linalg.solve(covariance, known)).sum() / known.size)
+    """Return a signal over a span, given its values in known frames with jitter (N,), and its variance per number."""
+    power = float(known.var(0).mean()) + MIN_POWER
+    for _ in range(POWER_ITERATIONS if np.any(noise_variance) else 1):
+        covariance = _compute_covariance(frames, span.rate, noise_variance / power)
+        power = float((known * np.linalg.solve(covariance, known)).sum() / known.size) + MIN_POWER
+    weights, variance = compute_interpolation_weights(frames, span, noise_variance / power)
     return weights @ known, variance * power
+
+
+def smooth_own_jitter(track: np.ndarray, is_sound: Bool[np.ndarray, " T"], span: FrameSpan, jitter_sd: float) -> SpanEstimate:
+    """Return rotations (T, 1, 3, 3) or positions (T, 1, 3) over a span without jitter, by their own motion alone.
+
+    Those of the root are smoothed so, because the state of the body has both in it.
+    """
+    is_position, margin = track.ndim == 3, round(INTERPOLATION_CONTEXT_S * span.rate)
+    ratio = 1.0 if is_position else QUATERNION_VARIANCE_RATIO
+    numbers = track[:, 0] if is_position else 2 * make_quaternions_continuous(Rotation.from_matrix(track[:, 0]).as_quat())
+    is_used, parts = is_sound.copy(), list[tuple[np.ndarray, np.ndarray]]()
+    is_used[span.frames] = True
+    for first in range(span.first, span.last + 1, max(1, margin)):
+        part = FrameSpan(first, min(first + max(1, margin) - 1, span.last), span.rate)
+        frames = np.arange(max(0, first - margin), min(len(track), part.last + 1 + margin))
+        frames = frames[is_used[frames]]
+        noise = np.where(is_sound[frames], 0.0, ratio * jitter_sd**2)
+        parts.append(interpolate_values(numbers[frames], frames, part, noise))
+    smoothed, variance = (np.concatenate(each) for each in zip(*parts, strict=True))
+    values = smoothed if is_position else Rotation.from_quat(smoothed).as_matrix()
+    return SpanEstimate(RepairMethod.JITTER_SMOOTHED, values[:, None], variance[:, None] / ratio)
 
 
 def interpolate_rotations(
@@ -322,12 +349,12 @@ def extract_heading(rotations: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndar
     return Rotation.from_euler("y", angle.reshape(-1, 1)).as_matrix().reshape(rotations.shape)
 
 
-def _compute_covariance(frames: np.ndarray, rate: float) -> np.ndarray:
+def _compute_covariance(frames: np.ndarray, rate: float, noise: np.ndarray | float = 0.0) -> np.ndarray:
     """Return the covariance (N, N) of a signal's samples relative to its power."""
     return (
         INTERPOLATION_MEAN_VARIANCE
         + compute_matern_52((frames[:, None] - frames) / rate, INTERPOLATION_TIMESCALE_S)
-        + INTERPOLATION_NOISE_VARIANCE * np.eye(len(frames))
+        + (INTERPOLATION_NOISE_VARIANCE + noise) * np.eye(len(frames))
     )
 
 

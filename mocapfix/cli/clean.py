@@ -152,13 +152,14 @@ def check_files_kept(files: Sequence[Path], targets: Sequence[Path]) -> None:
 
 def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix: str | None = None) -> None:
     """Print in a few lines what a cleaning did."""
-    from mocapfix.report.terms import format_fault_counts, format_frame_range, format_number
+    from mocapfix.report.terms import JOINT_TERMS, MARKER_TERMS, format_fault_counts, format_frame_range, format_number
 
     fill, take, changes = report["fill"], report["take"], report["changes"]
+    terms = JOINT_TERMS if take.get("animation") else MARKER_TERMS
     relabelled = f", {fill['relabelled']} relabelled" if fill["relabelled"] else ""
     print_line(
         f"[bold]{escape(format_take_name(take))}[/]: {fill['missing_before']} samples were missing, {fill['filled']} filled; "
-        f"{fill['replaced']} faulty ones replaced{relabelled}; {fill['left_empty']} left empty. "
+        f"{fill['replaced']} faulty ones replaced{relabelled}; {fill['left_empty']} left {terms.left}. "
         f"{report['seconds']['total']:.1f} s."
     )
     if report["solve"]:
@@ -171,7 +172,7 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
         what = f"{worst['kind']} of {escape(join_names(worst['markers']))}"
         where = f"frame{'s' * (worst['last'] > worst['first'])} {format_frame_range(worst['first'], worst['last'])}"
         print_line(f"  worst predicted error: {format_number(worst['predicted_mm'])} mm, {what}, {where}.")
-    for line in describe_left_empty(fill):
+    for line in describe_left_empty(fill, f"left {terms.left}"):
         print_note(line)
     print_notes(report["notes"], "in the report")
     print_output_files(outputs)
@@ -192,18 +193,18 @@ def print_notes(notes: Sequence[str], place: str) -> None:
         print_line(f"  ... and {more} more {'note' if more == 1 else 'notes'}, {place}.")
 
 
-def describe_left_empty(fill: "FillSection") -> list[str]:
-    """Return lines on what a cleaning left empty: each interval, or the markers and the reasons where there are many."""
+def describe_left_empty(fill: "FillSection", left: str) -> list[str]:
+    """Return lines on what a cleaning left as it was: each interval, or the markers and the reasons where there are many."""
     runs, markers = fill["unfilled"], fill["left_by_marker"]
     if len(runs) <= MAX_LISTED_RUNS:
-        return [f"left empty: {run['marker']}, frames {run['first']}-{run['last']}: {run['reason']}." for run in runs]
+        return [f"{left}: {run['marker']}, frames {run['first']}-{run['last']}: {run['reason']}." for run in runs]
     reasons: Counter[str] = Counter()
     for entry in markers:
         reasons.update(entry["reasons"])
     more = f"; the report lists {len(markers):,} markers" if len(markers) > MAX_LISTED_RUNS else ""
     listed = ", ".join(f"{entry['marker']} {entry['samples']:,}" for entry in markers[:MAX_LISTED_RUNS])
-    lines = [f"left empty, by marker: {listed}{more}."]
-    return lines + [f"left empty: {count:,} samples: {reason}." for reason, count in reasons.most_common(MAX_LISTED_REASONS)]
+    lines = [f"{left}, by marker: {listed}{more}."]
+    return lines + [f"{left}: {count:,} samples: {reason}." for reason, count in reasons.most_common(MAX_LISTED_REASONS)]
 
 
 def describe_laboratory(evidence: Mapping[str, str], options: CleanOptions) -> str:

@@ -193,7 +193,7 @@ def explain_unfilled_samples(
     reasons = np.full(is_wanted.shape, "", object)
     reasons[is_wanted & np.isnan(sd_m)] = "the markers that move with it are visible for too short a time to estimate it"
     is_uncertain = is_wanted & (sd_m > options.max_sd_m)
-    reasons[is_uncertain] = f"its predicted standard deviation exceeds {options.max_sd_m * 1e3:.0f} mm"
+    reasons[is_uncertain] = f"its predicted standard deviation exceeds {options.max_sd_m * 1e3:g} mm"
     reasons[is_wanted & (gap_durations_s > options.max_gap_s)] = f"the gap is longer than {options.max_gap_s:g} s"
     reasons[is_wanted & ~take.is_ever_visible] = NEVER_VISIBLE_REASON
     return reasons

@@ -307,7 +307,7 @@ def build_fill_section(
         "filled": int((estimated & ~visible & counts).sum()),
         "replaced": int((estimated & visible & counts).sum()),
         "relabelled": int((relabelled & counts).sum()),
-        "left_empty": int((~cleaned_take.visible & counts).sum()),
+        "left_empty": sum(entry["samples"] for entry in left),
         "unfilled": unfilled,
         "left_by_marker": sorted(left, key=lambda entry: -entry["samples"]),
     }

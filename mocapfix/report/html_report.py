@@ -119,7 +119,7 @@ def _build_facts(report: Report, comparison: CleaningComparison) -> list[tuple[s
         (f"{fill['missing_before'] / max(1, comparison.input_take.visible.size):.1%}", f"of the {samples} missing before"),
         (f"{fill['filled']:,}", f"{samples} filled"),
         (f"{fill['replaced']:,}", f"faulty {samples} replaced"),
-        (f"{fill['left_empty']:,}", f"{samples} left empty"),
+        (f"{fill['left_empty']:,}", f"{samples} left {comparison.terms.left}"),
     ]
     if worst := comparison.worst_moment[1]:
         facts.insert(3, (f"{format_number(worst.predicted_mm)} mm", "predicted error of the worst change"))

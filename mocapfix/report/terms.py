@@ -49,10 +49,11 @@ class PointTerms:
     sample: str
     samples: str
     measured: str
+    left: str  # what samples without an estimate are left
 
 
-MARKER_TERMS = PointTerms("marker", "markers", "sample", "samples", "measured")
-JOINT_TERMS = PointTerms("joint", "joints", "value", "values", "read from the file")
+MARKER_TERMS = PointTerms("marker", "markers", "sample", "samples", "measured", "empty")
+JOINT_TERMS = PointTerms("joint", "joints", "value", "values", "read from the file", "unchanged")
 
 
 def get_point_terms(take: Take) -> PointTerms:

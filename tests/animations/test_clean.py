@@ -195,6 +195,17 @@ def test_only_editable_values_change(walk, options, kinds):
         assert all(each.reason for each in result.unfilled_runs)
 
 
+def test_held_limb_with_an_uncertain_repair_is_reported(walk, mocapfix, tmp_path):
+    values, columns = walk.truth.values.copy(), [get_rotation_columns(walk.truth, joint) for joint in ARM]
+    values[200:260, np.concatenate(columns)] = values[200, np.concatenate(columns)]
+    patch_animation(tmp_path / "held.bvh", walk.truth, values)
+    status, out, _ = mocapfix("clean", tmp_path / "held.bvh", "--limit", "0.1", "--prior", "none")
+    assert status == 0
+    assert "118 left unchanged" in out
+    assert "left unchanged: RightForeArm, frames 202-260: its predicted standard deviation exceeds 0.1 mm." in out
+    np.testing.assert_array_equal(bvh.read_bvh(tmp_path / "held.mocapfix" / "held.bvh").values, values)
+
+
 def test_html_report_uses_terms_for_joints(walk):
     page = re.sub(r"(?s)<(style|script)\b.*?</\1>", " ", walk.outputs["report.html"].read_text(encoding="utf-8"))
     text = unescape(re.sub(r"<[^>]+>", " ", page))

@@ -75,6 +75,19 @@ def test_jitter_is_detected_with_its_amplitude():
     assert np.radians(2) < faults[0].severity < np.radians(4)
 
 
+@pytest.mark.parametrize("span", [SPAN, slice(0, 480)])
+def test_jitter_of_the_position_is_detected_also_throughout(span: slice):
+    root, rng = compose_sound_motion().root_position.copy(), np.random.default_rng(0)
+    root[span] += rng.normal(0, 0.005, root[span].shape)
+    faults = detect_faults(root)
+    kind, track, first, last = get_only(faults)
+    assert (kind, track) == ("jitter", len(NAMES))
+    assert abs(first - span.start) <= 3
+    assert abs(last - span.stop + 1) <= 3
+    assert 0.004 < faults[0].severity < 0.006
+    assert faults[0].severity_unit == "m"
+
+
 @pytest.mark.parametrize("axes", [(1, 0, 0), (1, 0.6, 0)])
 def test_frequent_jerks_about_one_or_two_axes_are_no_jitter(axes: tuple[float, float, float]):
     rotations, rng = compose_sound_motion().local_rotations.copy(), np.random.default_rng(2)

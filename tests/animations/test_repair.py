@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic as motions
 from mocapfix.animations import repair
@@ -15,6 +16,7 @@ from mocapfix.lab.animation_repair import (
     inject_animation_faults,
     interpolate_faults,
 )
+from mocapfix.model.faults import Fault
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
@@ -165,17 +167,41 @@ def test_take_too_short_to_try_methods_is_repaired_by_a_method_that_differs_from
     assert chosen.method == method
 
 
-def test_estimate_that_differs_from_the_interpolation_by_less_than_its_error_is_not_tried():
+@pytest.mark.parametrize(("last", "trials", "sd_m"), [(40, 0, 0.5), (44, repair.MAX_TRIALS, 0.02)])
+def test_long_interpolation_has_the_error_of_its_trials(last: int, trials: int, sd_m: float):
     tried = []
 
     def estimate(span: FrameSpan) -> list[SpanEstimate]:
         tried.append(span)
-        return build_estimates(span, (0.02, 0.01), 0.02)
+        return build_estimates(span, (0.02, 0.01), 0.5)
 
-    chosen = repair.choose_estimate(estimate, np.zeros((99, 1, 3)), np.array([-1]), np.ones(99, bool), FrameSpan(40, 44, RATE))
+    chosen = repair.choose_estimate(estimate, np.zeros((99, 1, 3)), np.array([-1]), np.ones(99, bool), FrameSpan(40, last, RATE))
     assert chosen is not None
     assert chosen.method == RepairMethod.GAP_INTERPOLATED
-    assert len(tried) == 1
+    assert len(tried) == 1 + trials
+    np.testing.assert_allclose(np.sqrt(chosen.variance), sd_m, rtol=0.02)
+
+
+@pytest.mark.parametrize("span", [slice(100, 130), slice(0, 480)])
+@pytest.mark.parametrize("is_position", [True, False])
+def test_jitter_of_the_hips_is_smoothed_and_its_error_predicted(span: slice, is_position: bool):
+    truth, rng = composed(), np.random.default_rng(4)
+    true = truth.root_position[:, None] if is_position else truth.local_rotations[:, :1]
+    track, sd = true.copy(), 0.01 if is_position else 0.06
+    noise = rng.normal(0, sd, (len(track[span]), 3))
+    track[span, 0] = track[span, 0] + noise if is_position else track[span, 0] @ Rotation.from_rotvec(noise).as_matrix()
+    parts = (track[:, 0], truth.local_rotations) if is_position else (truth.root_position, truth.local_rotations.copy())
+    parts[1][:, 0] = parts[1][:, 0] if is_position else track[:, 0]
+    fault = Fault("jitter", 31 if is_position else 0, span.start, span.stop - 1, sd, "")
+    repaired = repair.repair_animation(SKELETON.parents, *parts, ["ZYX"] * 31, [fault], RATE)
+    smoothed = repaired.get_track(fault.marker)
+    before, after = (np.sqrt(((each[span] - true[span]) ** 2).sum(axis=-1)).mean() for each in (track, smoothed))
+    assert after < 0.5 * before
+    error = (smoothed[span, 0] - true[span, 0]) if is_position else Rotation.from_matrix(
+        true[span, 0].swapaxes(1, 2) @ smoothed[span, 0]
+    ).as_rotvec()  # fmt: skip
+    normalised = (error**2).mean() / repaired.variance[span, fault.marker].mean()
+    assert 0.3 < normalised < 2.0
 
 
 def test_repair_of_a_joint_at_rest_is_tried_where_the_joint_rests():
