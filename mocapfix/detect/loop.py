@@ -19,7 +19,7 @@ from mocapfix.errors import TakeError
 from mocapfix.hands.finger_labels import find_finger_faults
 from mocapfix.hands.finger_markers import find_finger_markers, select_carried
 from mocapfix.labels.fragments import detect_fragments, join_fragments, relabel_samples
-from mocapfix.labels.label_swaps import detect_label_swaps, detect_mislabelled, undo_label_exchanges
+from mocapfix.labels.label_swaps import detect_label_swaps, detect_limb_exchanges, detect_mislabelled, undo_label_exchanges
 from mocapfix.model.body_fit import BodyFit
 from mocapfix.model.detected import Detected, find_namesakes
 from mocapfix.model.faults import (
@@ -189,6 +189,9 @@ def detect_on_trajectories(
         return detect_on_keypoints(take, marker_set, review, options)
     label_faults = list(review.label_corrections)
     take = relabel_samples(take, label_faults)
+    limbs = review.select(detect_limb_exchanges(take))
+    take = undo_label_exchanges(take, limbs)
+    label_faults += limbs
     if marker_set:
         mislabelled = review.select(detect_mislabelled(take, marker_set, subject))
         take = undo_label_exchanges(take, mislabelled)

@@ -24,6 +24,7 @@ average body only the size is estimated from the take, so that a label that is w
 of its marker.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -214,6 +215,47 @@ def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDist
             if len({i, j, k}) == 3:
                 triples.add(tuple(sorted((int(i), int(j), int(k)))))
     return sorted(pairs) + (sorted(triples) if len(triples) <= MAX_SWAP_TRIPLES else [])
+
+
+MIN_CROSSING_PAIRS = 3  # of labels that exchange their paths in one frame, which markers cannot
+MIN_CROSSING_M, MAX_CROSSING_RATIO = 0.05, 0.25  # least leap of each label, and its distance from the other's path relative to it
+MAX_CROSSING_GAP_S = 0.1
+CROSSING_CONFIDENCE = 0.9
+
+
+def detect_limb_exchanges(take: Take) -> list[Fault]:
+    """Detect exchanges of many pairs of labels at once, as of a left and a right leg, which keep the distances within the limb.
+
+    The shorter part of the take is assumed to be exchanged. `detect_mislabelled` then judges the labels of the whole take.
+    """
+    markers, frames = take.markers, np.arange(take.frame_count)[:, None, None]
+    known = np.maximum.accumulate(np.where(take.visible[..., None], frames, 0), axis=0)[:-1]  # the last visible sample before
+    age, step = frames[1:] - known, np.nan_to_num(np.diff(markers, axis=0, prepend=np.nan))
+    expected = np.take_along_axis(markers, known, axis=0) + age * np.take_along_axis(step, known, axis=0)
+    expected = np.where(age <= MAX_CROSSING_GAP_S * take.rate, expected, np.nan)
+    expected = np.concatenate([np.full_like(markers[:1], np.nan), expected])
+    leap_m = np.nan_to_num(np.linalg.norm(markers - expected, axis=-1))
+    crossings: dict[tuple[int, int], tuple[int, ...]] = {}
+    for frame in np.flatnonzero((leap_m > MIN_CROSSING_M).sum(1) >= 2 * MIN_CROSSING_PAIRS).tolist():
+        seen = np.flatnonzero(leap_m[frame] > MIN_CROSSING_M)
+        away_m = np.linalg.norm(markers[frame, seen, None] - expected[frame, seen], axis=-1)
+        other = away_m.argmin(1)
+        is_crossed = (away_m.min(1) < MAX_CROSSING_RATIO * leap_m[frame, seen]) & (other[other] == np.arange(len(seen)))
+        pairs = [(int(seen[n]), int(seen[other[n]])) for n in np.flatnonzero(is_crossed & is_crossed[other]) if n < other[n]]
+        if len(pairs) >= MIN_CROSSING_PAIRS:
+            crossings |= {pair: (*crossings.get(pair, ()), frame) for pair in pairs}
+    counts = Counter(crossings.values())
+    common = [each for each in sorted(counts, key=len) if counts[each] >= MIN_CROSSING_PAIRS]
+    faults: list[Fault] = []
+    for pair, own in crossings.items():
+        # a pair that is hidden while others of its limb cross crosses with them
+        hidden = {frame for each in common for frame in each if not take.visible[frame - 1, pair].all()}
+        starts = next((each for each in common[::-1] if set(own) <= set(each) <= {*own, *hidden}), ())
+        parts = list(zip((0, *starts), (*starts, take.frame_count), strict=True))
+        wrong = min(parts[::2], parts[1::2], key=lambda part: sum(end - first for first, end in part))
+        intervals = [(first, end - 1) for first, end in wrong]
+        faults += [build_exchange_fault(take, pair, each, CROSSING_CONFIDENCE, take.bare_labels) for each in intervals]
+    return faults
 
 
 def undo_label_exchanges(take: Take, faults: Iterable[Fault]) -> Take:

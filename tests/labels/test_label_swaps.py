@@ -3,14 +3,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mocapfix.detect.loop import detect_on_trajectories
 from mocapfix.io import capture
 from mocapfix.kernels import label_evidence
 from mocapfix.lab.clean_speed import compose_heavily_damaged_take
 from mocapfix.labels import label_swaps
-from mocapfix.model.faults import MIN_LABEL_CONFIDENCE
+from mocapfix.model.faults import MIN_LABEL_CONFIDENCE, FaultReview
 from mocapfix.model.take import Take
+from mocapfix.options import CleanOptions
 from mocapfix.stats.marker_distances import build_trajectories, estimate_distances
 from mocapfix.stats.sequences import find_runs
+from mocapfix.subject.library import load_marker_set
+from mocapfix.synthetic import compose_take
 from tests.captures import CAPTURES, needs_captures
 from tests.detect.bodies import exchanged, hidden, turning
 
@@ -80,6 +84,49 @@ def test_without_distances_the_shorter_part_is_assumed_to_be_swapped():
     assert half.confidence < MIN_LABEL_CONFIDENCE
     uncertain = exchanged(take, (0, 1), 240, 479)
     np.testing.assert_array_equal(undone(uncertain, [half]).markers, uncertain.markers)
+
+
+LEGS = [(f"L{name}", f"R{name}") for name in ("THI", "KNE", "SHN", "ANK", "HEE", "TOE", "MT5")]
+ARMS = [(f"L{name}", f"R{name}") for name in ("SHO", "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")]
+
+
+@pytest.mark.parametrize("rate", [30.0, 120.0])
+@pytest.mark.parametrize(
+    ("exchanges", "gap"),
+    [
+        ([(LEGS, 0.25, 0.4)], None),  # the shorter part is wrong
+        ([(LEGS, 0.7, 1.0)], None),
+        ([(LEGS, 0.1, 0.9)], None),  # the longer part is wrong, which a body shows
+        ([(ARMS, 0.3, 1.0), (LEGS, 0.25, 0.6)], None),
+        ([(LEGS + ARMS, 0.0, 0.45)], None),
+        ([(LEGS, 0.2, 0.7)], LEGS[3:]),  # feet that are hidden when the legs are exchanged
+    ],
+)
+def test_limbs_that_are_exchanged_as_a_whole_are_exchanged_back(rate, exchanges, gap):
+    truth = compose_take(5, 6.0, rate)
+    sound = Take(truth.marker_positions, truth.labels, rate)
+    if gap:
+        frame = round(0.2 * sound.frame_count)
+        for label in {label for pair in gap for label in pair}:
+            sound = hidden(sound, sound.labels.index(label), frame - 3, frame - 1)
+    assert label_swaps.detect_limb_exchanges(sound) == []
+    take = sound
+    for pairs, start, end in exchanges:
+        for pair in pairs:
+            markers = tuple(map(sound.labels.index, pair))
+            take = exchanged(take, markers, round(start * take.frame_count), round(end * take.frame_count) - 1)
+    detected = detect_on_trajectories(take, load_marker_set("cmu41"), None, FaultReview(), CleanOptions())
+    np.testing.assert_array_equal(detected.take.markers, sound.markers)
+
+
+def test_fewer_than_three_pairs_are_no_exchange_of_limbs():
+    truth = compose_take(5, 2.0, 120.0)
+    take = Take(truth.marker_positions, truth.labels, 120.0)
+    for pair in LEGS[:2]:
+        take = exchanged(take, tuple(map(take.labels.index, pair)), 100, 149)
+    assert label_swaps.detect_limb_exchanges(take) == []
+    (fault, *_) = label_swaps.detect_limb_exchanges(exchanged(take, tuple(map(take.labels.index, LEGS[2])), 100, 149))
+    assert (fault.first, fault.last, fault.kind) == (100, 149, "swap")
 
 
 def test_two_simultaneous_swaps_are_found():
