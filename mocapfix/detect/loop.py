@@ -153,7 +153,7 @@ def detect_sample_faults(
     detectors = external_fills.detect_frozen, external_fills.detect_polynomial_fills
     exact = [fault for detect in detectors for fault in detect(measured, memory=memory)]
     is_usable = measured.visible & ~build_fault_mask([*all_spikes, *exact], shape)
-    bursts = noise.detect_jitter(measured, is_usable, options.min_jitter_m, memory)
+    bursts = noise.detect_jitter(measured, is_usable, options.min_jitter_m, memory, all_spikes)
     has_jitter = build_fault_mask(bursts, shape)
     # a marker with bursts of jitter is not reported as noisy as well
     noisy = [fault for fault in noise.detect_noise(measured, memory) if not has_jitter[:, fault.marker].any()]

@@ -24,7 +24,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.viterbi import find_cheapest_chain
-from mocapfix.model.faults import Fault
+from mocapfix.model.faults import Fault, build_fault_mask
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import estimate_distances
 from mocapfix.stats.sequences import find_runs
@@ -174,6 +174,7 @@ MIN_NOISE_RATIO = 5.0
 MIN_NOISE_M = 0.001
 MIN_JITTER_RATIO = 6.0  # smallest noise in a burst of jitter, in multiples of the median over the take
 MIN_JITTER_DURATION_S = 0.1  # duration of the shortest burst
+MAX_BURST_PAUSE_S = 0.025  # between a burst and spikes that belong to it; measured in composed takes of training people
 CUBIC_RESIDUAL_M_PER_S2 = 30.0  # part of a body's motion that the cubic may leave. It matters at low frame rates only.
 
 
@@ -229,9 +230,13 @@ def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.n
 
 
 def detect_jitter(
-    take: Take, is_usable: Bool[np.ndarray, "T M"], min_amplitude_m: float, memory: RoundMemory | None = None
+    take: Take,
+    is_usable: Bool[np.ndarray, "T M"],
+    min_amplitude_m: float,
+    memory: RoundMemory | None = None,
+    spikes: Sequence[Fault] = (),
 ) -> list[Fault]:
-    """Detect the bursts in which a marker is much noisier than in the rest of the take.
+    """Detect the bursts in which a marker is much noisier than in the rest of the take, with the spikes at their ends.
 
     Args:
         is_usable: The samples without spikes.
@@ -242,7 +247,7 @@ def detect_jitter(
         The faults, ordered by marker and first frame. Their severity is the noise in metres.
     """
     min_noise_m = min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2
-    faults, memory = list[Fault](), memory or RoundMemory()
+    faults, memory, is_spike = list[Fault](), memory or RoundMemory(), build_fault_mask(spikes, take.visible.shape)
     noise = memory.recall(("bursts", min_noise_m), is_usable, lambda m: _measure_noise(take, m, is_usable[:, m], min_noise_m))
     memory.recall("usual residual", is_usable, lambda m: noise[m][0])  # for `estimate_noise_levels`
     for m, (label, (usual_m, threshold_m, bursts)) in enumerate(zip(take.bare_labels, noise, strict=True)):
@@ -250,6 +255,7 @@ def detect_jitter(
             partners = memory.find_partners(take)
             if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0].tolist()], burst, threshold_m):
                 continue
+            burst = _include_spikes(burst, is_spike[:, m], 1 + MAX_BURST_PAUSE_S * take.rate)
             duration_s = (burst.last - burst.first + 1) / take.rate
             usual = f"its usual noise is {usual_m * 1e3:.1f} mm"
             reason = f"{label} has jitter of {burst.amplitude_m * 1e3:.0f} mm for {duration_s:.2f} s; {usual}."
@@ -263,6 +269,14 @@ class _Burst(NamedTuple):
     first: int
     last: int
     amplitude_m: float
+
+
+def _include_spikes(burst: _Burst, is_spike: np.ndarray, max_step: float) -> _Burst:
+    """Return the burst with the spikes (T,) at its ends; up to `max_step` frames farther on is the next."""
+    frames = np.union1d(np.flatnonzero(is_spike), np.arange(burst.first, burst.last + 1))
+    part = np.cumsum(np.diff(frames, prepend=frames[:1]) > max_step)
+    whole = frames[part == part[np.searchsorted(frames, burst.first)]]
+    return burst._replace(first=int(whole[0]), last=int(whole[-1]))
 
 
 def _measure_noise(take: Take, marker: int, is_usable: np.ndarray, min_noise_m: float) -> tuple[float, float, tuple[_Burst, ...]]:
@@ -296,13 +310,7 @@ def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: flo
 def _is_shared_burst(
     take: Take, is_usable: np.ndarray, markers_compared: list[int], burst: _Burst, min_residual_m: float
 ) -> bool:
-    """Return whether a marker's noise in a burst is that of its neighbours.
-
-    Args:
-        is_usable: The samples (T, M) without spikes.
-        markers_compared: Indices of the marker and its neighbours.
-        min_residual_m: Smallest noise of a burst.
-    """
+    """Return whether the first marker has the noise of the others. `is_usable` (T, M) are samples without spikes."""
     reach = max(NEIGHBOUR_OFFSETS)
     start, stop = max(burst.first - reach, 0), min(burst.last + reach + 1, take.frame_count)
     usable = is_usable[start:stop, markers_compared, None]

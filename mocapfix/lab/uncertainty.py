@@ -83,7 +83,7 @@ def iterate_damaged_takes(seeds: list[int], motion_folder: Path | None) -> Itera
     """Yield the names of takes and the takes, with gaps and spikes. Raises ReadError if the folder holds no motion."""
     if motion_folder is None:
         for seed in seeds:
-            yield f"seed {seed}", compose_take(seed=seed)
+            yield f"seed {seed}", compose_take(seed=seed, asymmetric=True)
         return
     for seed, (name, truth) in zip(seeds, iterate_sound_takes(motion_folder, len(seeds)), strict=False):
         yield name, damage_take(truth, np.random.default_rng(seed))

@@ -95,7 +95,8 @@ def calibrate_jointly(
             # the prior is that of all takes together, and is added once
             shape = replace(parameters, information=np.zeros_like(parameters.information))
             problem = refinement.build_calibration_problem(start, body, prior, take.markers, shape.compute_body(of_take))
-            states.append(refinement.solve_and_linearise(shape, problem, of_take, start_poses))
+            solved = refinement.pose_calibrated_frames(problem, start_poses)
+            states.append(refinement.linearise_frames(shape, problem, of_take, solved))
             cost += states[-1].cost
             gradient[indices] += states[-1].gradient
         return JointFit(states, values, cost, gradient)
@@ -486,7 +487,8 @@ def add_take(person: PersonCalibration, calibration: JointCalibration, take: Cal
     no_deviation = np.zeros_like(person.subject.skeleton.offsets)
     placed = CalibratedBody(person.subject.skeleton.offsets, person.subject.marker_offsets, no_deviation)
     problem = refinement.build_calibration_problem(start, body, prior, take.markers, placed)
-    state = refinement.solve_and_linearise(first.parameters, problem, first.unknowns, take.poses)
+    poses = refinement.pose_calibrated_frames(problem, take.poses)
+    state = refinement.linearise_frames(first.parameters, problem, first.unknowns, poses)
     if reason := find_foreign_take(take, state, calibration.states):
         return replace(person, rejected={**person.rejected, take.take: reason})
     common = [t for t, name in enumerate(person.takes[: len(calibration.states)]) if name not in person.take_subjects]

@@ -179,21 +179,15 @@ class PelvisLandmarks(NamedTuple):
     posterior: tuple[int, ...]  # those on the posterior ones, or the one on the sacrum between them
 
 
-class HipEvidence(NamedTuple):
-    """What the regression says of the unknowns of a calibration, linearised at the start, where all are 0."""
-
-    error: Float[np.ndarray, "6"]  # m: the body's hip joint centres, left and right, relative to the predicted ones
-    jacobian: Float[np.ndarray, "6 Q"]  # its derivatives with respect to the unknowns
-
-
 def add_hip_regression(parameters: CalibrationParameters, start: Subject) -> CalibrationParameters:
     """Return the parameters with the prediction of the hip joints in their prior, the very same ones if there is none."""
     evidence = build_hip_evidence(start, parameters)
     if evidence is None:
         return parameters
-    precision = evidence.jacobian.T / HIP_REGRESSION_SD_M**2
-    information = parameters.information + precision @ evidence.jacobian
-    gradient = parameters.information @ parameters.expected - precision @ evidence.error
+    error, jacobian = evidence
+    precision = jacobian.T / HIP_REGRESSION_SD_M**2
+    information = parameters.information + precision @ jacobian
+    gradient = parameters.information @ parameters.expected - precision @ error
     return replace(parameters, information=information, expected=np.linalg.solve(information, gradient))
 
 
@@ -226,8 +220,12 @@ def predict_hip_joints(
     return np.array([centre + sideward, centre - sideward])
 
 
-def build_hip_evidence(start: Subject, parameters: CalibrationParameters) -> HipEvidence | None:
-    """Return what the regression says of the unknowns, None if the subject has no markers on the landmarks."""
+def build_hip_evidence(
+    start: Subject, parameters: CalibrationParameters
+) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6 Q"]] | None:
+    """Return the hip joints, left and right, relative to the predicted ones in metres at the start, and the derivatives with
+    respect to the unknowns; None if the subject has no markers on the landmarks.
+    """
     landmarks = find_pelvis_landmarks(start)
     if landmarks is None:
         return None
@@ -256,7 +254,7 @@ def build_hip_evidence(start: Subject, parameters: CalibrationParameters) -> Hip
             motion[point, :, :coefficient_count] += marker_deformations[:, k].T / len(indices)
             shift = coefficient_count + 3 * k
             motion[point, :, shift : shift + 3] += np.eye(3) / len(indices)
-    return HipEvidence(compute_error(flat), derivative @ motion.reshape(points.size, unknown_count))
+    return compute_error(flat), derivative @ motion.reshape(points.size, unknown_count)
 
 
 SKIN_CORRELATION_S = 0.3  # time after which the correlation of a marker's motion with the skin has fallen to 1/e
@@ -398,19 +396,12 @@ def refine_body(
 
     def fit(unknowns: np.ndarray, poses: Poses) -> RefinementState:
         problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))
-        return solve_and_linearise(parameters, problem, unknowns, poses)
+        return linearise_frames(parameters, problem, unknowns, pose_calibrated_frames(problem, poses))
 
     parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start)
     first = fit(np.zeros(len(parameters.information)) if unknowns is None else unknowns, poses)
     state, curvature = minimise_shared(lambda new, old: fit(new, old.poses), first, compute_curvature, MAX_REFINEMENT_ROUNDS)
     return Refinement(state, curvature, (first.cost - state.cost) / state.cost)
-
-
-def solve_and_linearise(
-    parameters: CalibrationParameters, problem: PoseProblem, unknowns: np.ndarray, start: Poses
-) -> RefinementState:
-    """Solve the poses from those given, and return the state there."""
-    return linearise_frames(parameters, problem, unknowns, pose_calibrated_frames(problem, start))
 
 
 def pose_calibrated_frames(problem: PoseProblem, start: Poses) -> Poses:
@@ -473,6 +464,13 @@ def build_refined_subject(
     found, basis = respond_in_frames(state.problem, state.poses, frames, has_responses=True), state.parameters.shape_basis
     weighted, of_prior = (found.marker_response, found.marker_weight, basis), state.parameters.gradient_covariance
     covariance = compute_shared_covariance(*weighted, curvature, of_prior, times_s, residual_sd_m)
-    half = basis @ np.linalg.cholesky(covariance)
-    joint_sd, marker_sd = (compute_response_sd(each, half) for each in (found.joint_response, found.marker_response))
+    # Errors of markers look like motion of the joints, which then seem to show their centres. As much error again makes a
+    # curvature H (1 + r) H; that by the true motion is H / (1 + r). This is simulation extrapolation: Cook and Stefanski,
+    # "Simulation-extrapolation estimation in parametric measurement error models", J. Am. Stat. Assoc. 89 (1994) 1314-1328.
+    markers = state.problem.marker_positions + np.random.default_rng(0).normal(0, residual_sd_m, (*distance.shape, 3))
+    noisy = replace(state.problem, marker_positions=markers)
+    growth = respond_in_frames(noisy, pose_calibrated_frames(noisy, state.poses), frames).curvature - found.curvature
+    half = np.linalg.cholesky(covariance)
+    half += np.linalg.solve(curvature, basis.T @ growth @ basis @ half) * (len(state.poses[0]) / len(frames))
+    joint_sd, marker_sd = (compute_response_sd(each, basis @ half) for each in (found.joint_response, found.marker_response))
     return replace(subject, marker_spread=spread, joint_sd=joint_sd, marker_sd=marker_sd)

@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocapfix.detect import noise
+from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 
 
@@ -82,6 +83,15 @@ def test_burst_continues_across_short_pauses_and_ends_at_a_gap():
     before, after = found(markers)
     ends = [before.first, before.last, after.first, after.last]
     np.testing.assert_allclose(ends, [200, 319, 360, 420], rtol=0, atol=5)
+
+
+def test_burst_includes_spikes_at_its_ends_but_none_farther_away():
+    take = Take(add_jitter(swinging(), 200, 260, 0.012), ("LWRA",), 120.0)
+    (plain,) = noise.detect_jitter(take, take.visible, min_amplitude_m=0.005)
+    frames = plain.first - 2, plain.last + 2, plain.last + 5, plain.last + 15
+    spikes = [Fault("spike", 0, frame, frame, 0.03, "") for frame in frames]
+    (burst,) = noise.detect_jitter(take, take.visible, min_amplitude_m=0.005, spikes=spikes)
+    assert (burst.first, burst.last) == (plain.first - 2, plain.last + 5)
 
 
 @pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])

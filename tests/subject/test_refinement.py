@@ -93,6 +93,14 @@ def test_sd_of_an_invisible_marker_is_its_prior():
     assert (found.joint_sd > 0).all()
 
 
+def test_errors_of_markers_are_not_taken_for_motion():
+    still = np.repeat(perform(NOMINAL, frames=30)[0][:1], 60, axis=0)
+    noise = np.random.default_rng(0).normal(0, 0.012, still.shape)
+    joints = [BODY.skeleton.find_joint(name) for name in ("LeftFoot", "RightFoot", "LeftHand", "RightHand")]
+    exact, noisy = (refine(markers, interval_s=0.5).joint_sd[joints] for markers in (still, still + noise))
+    assert (noisy > 0.95 * exact).all()  # nobody moved: more error makes no joint certain
+
+
 def test_invisible_parts_stay_nominal_at_the_body_size():
     markers, _ = perform(NOMINAL)
     k = MARKER_SET.labels.index("RWRA")
