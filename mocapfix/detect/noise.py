@@ -80,12 +80,7 @@ MIN_EXPLAINING_FRACTION = 0.8  # smallest fraction of the frames in which such a
 
 
 def find_shared_deviations(own: Float[np.ndarray, "N 3"], neighbours: Float[np.ndarray, "N K 3"]) -> Bool[np.ndarray, " N"]:
-    """Find the deviations of a marker that its neighbours share.
-
-    Args:
-        own: Deviations of the marker in metres.
-        neighbours: Deviations of K neighbours in metres at the same times, NaN where unknown.
-    """
+    """Find the deviations of a marker that its neighbours, NaN where unknown, share; in metres, at the same times."""
     own_length, length = np.linalg.norm(own, axis=-1)[:, None], np.linalg.norm(neighbours, axis=-1)
     product = np.einsum("nx,nkx->nk", own, neighbours)
     is_similar = (
@@ -153,9 +148,7 @@ def compute_weighted_deviations(
 def remove_shared_noise(own: Float[np.ndarray, "N 3"], neighbours: Float[np.ndarray, "N K 3"]) -> Float[np.ndarray, "N 3"]:
     """Remove from a marker's residuals what is proportional to those of its neighbours (least squares).
 
-    Args:
-        own: Residuals of the marker in metres.
-        neighbours: Residuals of K neighbours in metres, the steadiest first, NaN where unknown.
+    Those of the neighbours, in metres, come from the steadiest first, and are NaN where unknown.
     """
     is_known = ~np.isnan(neighbours[..., 0])
     columns = np.flatnonzero(is_known.mean(0) >= MIN_EXPLAINING_FRACTION)[:MAX_EXPLAINING_NEIGHBOURS]

@@ -146,11 +146,7 @@ def list_bones(skeleton: Skeleton) -> Float[np.ndarray, "B J 3"]:
 
 
 def list_bone_leans(skeleton: Skeleton, joint_names: tuple[str, ...]) -> Float[np.ndarray, "L J 3"]:
-    """Return the changes of the joints' offsets by a rotation of each bone about two axes across it, in metres per radian.
-
-    Args:
-        joint_names: One joint at the end of each bone; joints at the same offset from one parent share a bone.
-    """
+    """Return the changes of the offsets in metres per radian of a rotation of each joint's bone about two axes across it."""
     offsets, leans = skeleton.offsets, list[np.ndarray]()
     for j in map(skeleton.find_joint, joint_names):
         is_same = (skeleton.parents == skeleton.parents[j]) & np.isclose(offsets, offsets[j]).all(1)
