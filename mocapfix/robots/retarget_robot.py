@@ -168,7 +168,7 @@ def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " 
     for k in range(1 + POSTURE_STARTS):
         joints = np.clip(standing, low, high) if k == 0 else standing + 0.5 * (random.uniform(low, high) - standing)
         points = np.tile(np.concatenate([np.zeros(ROOT_UNKNOWNS), joints]), (basis.point_count, 1))
-        start = Trajectory(basis, np.eye(3)[None], points)
+        start = Trajectory(basis, body.robot.link_rotations[:1], points)
         found, cost = minimise_trajectory(body.tree, terms, costs, start, max_iterations=25, min_decrease=1e-3)
         if cost < best[0]:
             best = cost, found.unknowns[0, ROOT_UNKNOWNS:]
@@ -180,9 +180,10 @@ def find_start(body: RobotBody, targets: RobotTargets) -> Trajectory:
     count = len(targets.hips)
     basis = build_spline_basis(count, targets.rate, max(1, round(targets.rate / SEARCH.control_rate)))
     quaternions = make_quaternions_continuous(Rotation.from_matrix(targets.pelvis).as_quat())
-    references = np.ascontiguousarray(Rotation.from_quat(basis.evaluate(basis.fit(quaternions))).as_matrix())
+    pelvis = Rotation.from_quat(basis.evaluate(basis.fit(quaternions))).as_matrix()
+    references = np.ascontiguousarray(pelvis @ body.robot.link_rotations[0])
     points = np.zeros((basis.point_count, ROOT_UNKNOWNS + len(body.map.standing[list_leaders(body.robot)])))
-    points[:, :3] = basis.fit(targets.hips - references @ body.hip_centre)
+    points[:, :3] = basis.fit(targets.hips - pelvis @ body.hip_centre)
     points[:, ROOT_UNKNOWNS:] = find_posture(body, targets)
     return Trajectory(basis, references, points)
 

@@ -29,7 +29,7 @@ class Robot:
     link_names: tuple[str, ...]
     parents: Int[np.ndarray, " L"]  # -1 for the root; parents come before their children
     link_positions: Float[np.ndarray, "L 3"]  # in the parent's axes, metres
-    link_rotations: Float[np.ndarray, "L 3 3"]  # link axes to parent axes
+    link_rotations: Float[np.ndarray, "L 3 3"]  # link axes to parent axes, of the root to the world
     masses: Float[np.ndarray, " L"]  # kg
     mass_centres: Float[np.ndarray, "L 3"]  # in the axes of the link, metres
     joint_names: tuple[str, ...]

@@ -8,7 +8,7 @@ import json
 import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ from mocapfix.options import OutputOptions
 from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
 from mocapfix.robots.robot import LIMBS, LinkPoint
-from mocapfix.robots.robot_map import find_robot_map, read_robot_map, write_robot_map
+from mocapfix.robots.robot_map import find_robot_map, read_robot_map, turn_upright, write_robot_map
 from mocapfix.robots.robot_targets import (
     ROBOT_AXES,
     RobotBody,
@@ -113,9 +113,8 @@ class RobotFiles:
 
 def load_robot_files(path: Path, options: OutputOptions) -> RobotFiles:
     """Return the files of a robot. Raises ReadError or SceneError if it, or the file of its body, cannot be used."""
-    robot = load_robot(path)
-    robot_map = read_robot_map(Path(options.character_map), robot) if options.character_map else find_robot_map(robot)
-    return RobotFiles(build_robot_body(robot, robot_map), options)
+    find = partial(read_robot_map, Path(options.character_map)) if options.character_map else find_robot_map
+    return RobotFiles(build_robot_body(*turn_upright(load_robot(path), find)), options)
 
 
 class RobotFigures(NamedTuple):
@@ -123,9 +122,12 @@ class RobotFigures(NamedTuple):
 
     limb_count: int  # of the limbs that the take shows
     limb_deg: tuple[float, float]  # angle between these and the performer's: mean, and 95th percentile
+    trunk_deg: tuple[float, float]  # the 95th percentile of that of pelvis and chest
     at_limit_share: float  # of the frames in which a joint is at one of its limits
+    limited_joint: str  # the one that is so most often
     speed_ratio: float  # largest speed of a joint over its limit
     fastest_joint: str
+    has_speed_limit: bool  # whether the file states it
     overlap_share: float  # of the frames in which parts overlap by more than OVERLAP_M
     overlap_m: float  # the deepest
     on_floor_share: float  # of the frames in which a sole is on the floor
@@ -137,10 +139,12 @@ class RobotFigures(NamedTuple):
         limbs = "Limbs" if self.limb_count == len(LIMBS) else f"The {self.limb_count} limbs that the take shows"
         problem = "It does something else: check the limits of its joints, and its map. " if mean > MAX_LIMB_DEG else ""
         return (
-            f"{problem}{limbs} point as the performer's within {mean:.1f} degrees in the mean, 95 % within {high:.1f}; "
+            f"{problem}{limbs} point as the performer's within {mean:.1f} degrees in the mean, 95 % within {high:.1f}, "
+            f"pelvis and chest are turned within {self.trunk_deg[0]:.1f} and {self.trunk_deg[1]:.1f}; "
             f"a sole is on the floor in {self.on_floor_share:.0%} of the frames; "
             f"{overlap if self.overlap_share else 'no parts overlap'}. A joint is at a limit in {self.at_limit_share:.0%} of the "
-            f"frames; the fastest, {self.fastest_joint}, reaches {self.speed_ratio:.0%} of its limit of speed."
+            f"frames{f', mostly {self.limited_joint}' * (self.at_limit_share > 0)}; the fastest, {self.fastest_joint}, reaches "
+            f"{self.speed_ratio:.0%} of {'its' if self.has_speed_limit else 'the assumed'} limit of speed."
         )
 
 
@@ -150,6 +154,10 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
     is_shown = targets.terms.line.weights[0, : len(body.map.limbs)] > 0.0
     angles = np.degrees(np.arccos(np.clip(cosines[:, is_shown], -1.0, 1.0))) if is_shown.any() else np.zeros(1)
     gaps = np.minimum(motion.joint_positions - body.robot.limits[:, 0], body.robot.limits[:, 1] - motion.joint_positions)
+    is_at_limit, rotation = gaps < AT_LIMIT_RAD, targets.terms.rotation
+    turns = motion.link_rotations[:, rotation.links[:2]].swapaxes(2, 3) @ rotation.rotations[:, :2]
+    turn_rad = np.arccos(np.clip(0.5 * (np.trace(turns, axis1=2, axis2=3) - 1.0), -1.0, 1.0))
+    pelvis_deg, chest_deg = np.degrees(np.percentile(turn_rad, 95, axis=0)).tolist()
     ratio = np.abs(motion.joint_velocities).max(axis=0) / body.speed_limits
     fastest = int(np.argmax(ratio))
     costs = compute_hinged_costs(body.tree, targets.isolate_collisions(), motion.references, motion.unknowns)
@@ -158,9 +166,12 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
     return RobotFigures(
         int(is_shown.sum()),
         (float(angles.mean()), float(np.percentile(angles, 95))),
-        float((gaps < AT_LIMIT_RAD).any(axis=1).mean()),
+        (pelvis_deg, chest_deg),
+        float(is_at_limit.any(axis=1).mean()),
+        body.robot.joint_names[int(is_at_limit.sum(axis=0).argmax())],
         float(ratio[fastest]),
         body.robot.joint_names[fastest],
+        bool(np.isfinite(body.robot.speed_limits[fastest])),
         float((depths > OVERLAP_M).mean()),
         float(depths.max()),
         float((corners[..., 2].min(axis=1) < ON_FLOOR_M).mean()),

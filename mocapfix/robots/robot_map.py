@@ -11,8 +11,8 @@ farthest is the arm.
 - A shin ends at the ankle; a forearm at the wrist, at the last of its joints across it, or where the arm ends.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,6 +21,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float, Int
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
 from mocapfix.io.files import replace_atomically
@@ -37,6 +38,7 @@ MAX_HEEL_SHARE = 0.05  # of twice the length of a sole: so far its middle may be
 MIN_LIMB_M, MIN_SOLE_M2 = 0.01, 1e-4  # smallest length of a limb, and area of a sole times four
 ANKLE_SHARE, SOLE_SHARES = 0.07, (-0.11, 0.21, -0.06, 0.06)
 """Height of an ankle, heel, front and sides of a sole about it, over the length from hip to ankle: as five robots have them."""
+ROTATION_Z_UP_Y_UP = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # from axes with Y up and Z ahead
 SOLE_DEPTH_M = 0.008  # height above the lowest point of a foot up to which points belong to the sole
 
 
@@ -67,7 +69,7 @@ def list_leaders(robot: Robot) -> Int[np.ndarray, " U"]:
 
 @dataclass(frozen=True)
 class StandingRobot:
-    """A robot at joint positions; the root is at the origin and not turned."""
+    """A robot at joint positions; the root is at the origin, with the axes that it has in `Robot.link_rotations`."""
 
     robot: Robot
     tree: HingedTree
@@ -121,8 +123,31 @@ def stand_robot(robot: Robot, positions: Float[np.ndarray, " N"]) -> StandingRob
     tree, count = build_hinged_tree(robot), len(robot.parents)
     standing = np.clip(positions, *robot.limits.T)
     unknowns = np.concatenate([np.zeros(ROOT_UNKNOWNS), standing[list_leaders(robot)]])[None]
-    places, rotations = place_points(tree, np.eye(3)[None], unknowns, np.arange(count), np.zeros((count, 3)))
+    places, rotations = place_points(tree, robot.link_rotations[:1], unknowns, np.arange(count), np.zeros((count, 3)))
     return StandingRobot(robot, tree, standing, places[0], rotations[0])
+
+
+def turn_upright(robot: Robot, find: Callable[[Robot], RobotMap]) -> tuple[Robot, RobotMap]:
+    """Return a robot with a root that is turned so that it stands upright and looks along X, and its body, which `find` returns.
+
+    The axes of the root are tried, those that the file gives it in the world, and roots with Y up, each with four headings.
+
+    Raises:
+        SceneError: As `find` does for a root that is not turned, if no root fits.
+    """
+    reasons = list[SceneError]()
+    for heading in range(4):
+        for axes in (np.eye(3), robot.link_rotations[0], ROTATION_Z_UP_Y_UP):
+            root = Rotation.from_euler("z", heading * np.pi / 2).as_matrix() @ axes
+            turned = replace(robot, link_rotations=np.concatenate([root[None], robot.link_rotations[1:]]))
+            try:
+                found = find(turned)
+            except SceneError as error:
+                reasons.append(error)
+                continue
+            note = " The axes of its root are not X ahead and Z up." if reasons else ""
+            return turned, replace(found, reason=found.reason + note)
+    raise reasons[0]
 
 
 def find_robot_map(robot: Robot) -> RobotMap:

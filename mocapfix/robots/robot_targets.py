@@ -120,7 +120,7 @@ class RobotBody:
 
     @property
     def hip_centre(self) -> Float[np.ndarray, " 3"]:
-        """The middle of the hips in the upright stance, relative to the root, in its axes, in metres."""
+        """The middle of the hips in the upright stance, relative to the root, with X ahead and Z up, in metres."""
         return np.mean([self.standing.place(self.map.limbs[f"{side}_thigh"][0]) for side in SIDES], axis=0)
 
     @property

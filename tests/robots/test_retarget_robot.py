@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.body_frames import build_body_frame, compute_segment_motion
 from mocapfix.characters.character import CharacterMotion
@@ -16,7 +17,7 @@ from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, retarget_to_robot
 from mocapfix.robots.robot import SIDES
 from mocapfix.robots.robot_files import measure_robot_motion
-from mocapfix.robots.robot_map import find_robot_map
+from mocapfix.robots.robot_map import find_robot_map, turn_upright
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets, stand_feet
 from mocapfix.solve.trajectory import place_points
 from mocapfix.stats.sequences import find_runs
@@ -74,6 +75,42 @@ def test_limbs_point_as_the_performers(body, contacts, moved):
     assert figures.limb_deg[0] < 2.0
     assert figures.overlap_m < 0.002
     assert figures.speed_ratio < 1.0
+    assert figures.has_speed_limit
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "is_stated"),
+    [("0.5 0.5 0.5 0.5", False), ("0.70710678 0 0 0.70710678", False), ("0.36 0.48 -0.48 0.64", True)],
+)
+def test_axes_of_the_root_do_not_matter(tmp_path, contacts, moved, quaternion, is_stated):
+    w, *xyz = map(float, quaternion.split())
+    head, inner = build_mjcf(list_parts()).split('<body name="pelvis" pos="0 0 0">')
+    inner, tail = inner.replace('<freejoint name="base"/>', "", 1).split("</worldbody>")
+    base = f'<body name="base" quat="{quaternion if is_stated else "1 0 0 0"}"><freejoint name="base"/>'
+    inertial = '<inertial pos="0 0 0" mass="0.001" diaginertia="0.001 0.001 0.001"/>'
+    inverse = " ".join(map(str, [w, *(-each for each in xyz)]))
+    text = f'{head}{base}{inertial}<body name="pelvis" quat="{inverse}">{inner}</body></worldbody>{tail}'
+    (tmp_path / "own.xml").write_text(text, encoding="utf-8")
+    (tmp_path / "own.urdf").write_text(build_urdf(list_parts()), encoding="utf-8")
+    robot = load_robot(tmp_path / "own.xml")
+    turned = build_robot_body(*turn_upright(robot, find_robot_map))
+    motion = retarget_to_robot(turned, build_targets(turned, contacts))
+    np.testing.assert_allclose(motion.joint_positions, moved.joint_positions, atol=1e-3)
+    np.testing.assert_allclose(motion.link_positions[:, 1:], moved.link_positions, atol=1e-3)
+    rotation = Rotation.from_quat([*xyz, w]).as_matrix()
+    np.testing.assert_allclose(motion.link_rotations[:, 0], moved.link_rotations[:, 0] @ rotation, atol=1e-3)
+    assert "The axes of its root are not X ahead and Z up." in turned.map.reason
+
+
+def test_turns_of_the_trunk_and_the_joint_at_a_limit_are_measured(body, contacts, moved):
+    targets, joint = build_targets(body, contacts), body.robot.joint_names.index("left_shin_joint")
+    positions, rotations = moved.joint_positions.copy(), moved.link_rotations.copy()
+    positions[::2, joint] = body.robot.limits[joint, 1]
+    rotations[:, body.map.trunk] = targets.terms.rotation.rotations[:, 1] @ Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()
+    figures = measure_robot_motion(body, targets, replace(moved, joint_positions=positions, link_rotations=rotations))
+    assert figures.trunk_deg[1] == pytest.approx(np.degrees(0.3))
+    assert figures.limited_joint == "left_shin_joint"
+    assert figures.at_limit_share >= 0.5
 
 
 def test_balance_is_kept_as_the_performers(body, contacts, moved):

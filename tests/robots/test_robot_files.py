@@ -235,7 +235,7 @@ def test_limbs_that_the_take_does_not_show_are_not_measured_and_hang(path, tmp_p
         for side in ("left", "right"):
             shoulder, elbow = (arrays["body_pos_w"][:, names.index(f"{side}_{link}")] for link in ("upper_arm", "forearm"))
             assert ((elbow - shoulder)[:, 2] < -0.8 * LENGTHS["upper_arm"]).all()
-    figures = RobotFigures(8, (MAX_LIMB_DEG + 1.0, 40.0), 0.5, 0.9, "knee", 0.0, 0.0, 1.0)
+    figures = RobotFigures(8, (MAX_LIMB_DEG + 1.0, 40.0), (1.0, 9.0), 0.5, "ankle", 0.9, "knee", False, 0.0, 0.0, 1.0)
     assert figures.describe().startswith("It does something else: check the limits of its joints, and its map. Limbs point")
 
 
