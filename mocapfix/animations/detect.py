@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.animations import offsets
-from mocapfix.animations.offsets import OffsetThresholds, TemporaryOffset
+from mocapfix.animations.offsets import OffsetModel, OffsetThresholds, TemporaryOffset
 from mocapfix.kernels import lie
 from mocapfix.model.animation import AXIS_LETTERS, Animation, list_track_names
 from mocapfix.model.faults import Fault, FaultKind
@@ -318,17 +318,11 @@ def detect_pose_faults(
         known_rotations = np.where(is_lost[:, joint, None, None], np.eye(3), local_rotations[:, joint])[:, None]
         joint_quaternions = lie.extract_joint_quaternions(known_rotations, 0, ~is_lost[:, joint])
         if np.ptp(joint_quaternions, axis=0).max() > MIN_QUATERNION_RANGE:
-            faults += _detect_joint_faults(joint, names[joint], joint_quaternions, ~is_lost[:, joint], orders[joint], rate)
-    position, is_steady = np.where(is_lost[:, -1:], 0.0, root_position), ~is_lost[:, -1]
+            models = offsets.build_rotation_offset_models(joint_quaternions, orders[joint])
+            faults += _detect_track_faults(joint, names[joint], 2 * joint_quaternions, models, ~is_lost[:, joint], rate)
+    position = np.where(is_lost[:, -1:], 0.0, root_position)
     models = offsets.build_position_offset_models(position)
-    for offset in offsets.detect_offsets(position, models, ~is_lost[:, -1], rate, POSITION_THRESHOLDS):
-        reason = f"{track_names[-1]} is off by {offset.amount * 1e3:.0f} mm {_format_duration(offset.first, offset.last, rate)}."
-        faults.append(Fault("spike", joint_count, offset.first, offset.last, offset.amount, reason, _compute_confidence(offset)))
-        is_steady[[offset.first - 1, offset.first, offset.last, offset.last + 1]] = False
-    for burst in detect_jitter(position, is_steady, rate, POSITION_JITTER):
-        duration = _format_duration(burst.first, burst.last, rate)
-        reason = f"{track_names[-1]} jitters by {burst.sd * 1e3:.0f} mm along each axis {duration}."
-        faults.append(Fault("jitter", joint_count, burst.first, burst.last, burst.sd, reason))
+    faults += _detect_track_faults(joint_count, track_names[-1], position, models, ~is_lost[:, -1], rate)
     faults = [replace(fault, severity_unit="rad") if fault.marker < joint_count else fault for fault in faults]
     return sorted(faults, key=lambda fault: (fault.first, fault.marker))
 
@@ -354,24 +348,28 @@ def _build_gap_fault(gap: AnimationGap, track_names: Sequence[str], rate: float)
     return Fault(kind, gap.tracks[0], gap.first, gap.last, np.nan, reason, 1.0, gap.tracks[1:])
 
 
-def _detect_joint_faults(
-    joint: int, name: str, joint_quaternions: Float[np.ndarray, "T 4"], is_usable: Bool[np.ndarray, " T"], order: str, rate: float
+def _detect_track_faults(
+    n: int,
+    name: str,
+    track: Float[np.ndarray, "T c"],
+    models: tuple[OffsetModel, ...],
+    is_usable: Bool[np.ndarray, " T"],
+    rate: float,
 ) -> list[Fault]:
-    """Return the pops, flips and jitter bursts of one joint."""
-    faults, is_steady = [], is_usable.copy()
-    track = 2 * joint_quaternions
-    models = offsets.build_rotation_offset_models(joint_quaternions, order)
-    for offset in offsets.detect_offsets(track, models, is_usable, rate, ROTATION_THRESHOLDS):
-        kind: FaultKind = "flip" if offset.amount > MIN_FLIP_ANGLE_RAD else "pop"
-        verb = "is flipped" if kind == "flip" else "is off"
+    """Return the pops, flips and jitter bursts of a joint, or the spikes and jitter bursts of a position, as `detect_jitter`."""
+    faults, is_steady, is_position = [], is_usable.copy(), track.shape[1] == 3
+    thresholds = POSITION_THRESHOLDS if is_position else ROTATION_THRESHOLDS
+    for offset in offsets.detect_offsets(track, models, is_usable, rate, thresholds):
+        kind: FaultKind = "spike" if is_position else "flip" if offset.amount > MIN_FLIP_ANGLE_RAD else "pop"
+        amount = f"{offset.amount * 1e3:.0f} mm" if is_position else f"{np.degrees(offset.amount):.0f} degrees"
         duration = _format_duration(offset.first, offset.last, rate)
-        reason = f"{name} {verb} by {np.degrees(offset.amount):.0f} degrees {duration}."
-        faults.append(Fault(kind, joint, offset.first, offset.last, offset.amount, reason, _compute_confidence(offset)))
+        reason = f"{name} {'is flipped' if kind == 'flip' else 'is off'} by {amount} {duration}."
+        faults.append(Fault(kind, n, offset.first, offset.last, offset.amount, reason, _compute_confidence(offset)))
         is_steady[[offset.first - 1, offset.first, offset.last, offset.last + 1]] = False
-    for burst in detect_jitter(track, is_steady, rate, ROTATION_JITTER):
+    for burst in detect_jitter(track, is_steady, rate, POSITION_JITTER if is_position else ROTATION_JITTER):
+        amount = f"{burst.sd * 1e3:.0f} mm along" if is_position else f"{np.degrees(burst.sd):.1f} degrees about"
         duration = _format_duration(burst.first, burst.last, rate)
-        reason = f"{name} jitters by {np.degrees(burst.sd):.1f} degrees about each axis {duration}."
-        faults.append(Fault("jitter", joint, burst.first, burst.last, burst.sd, reason))
+        faults.append(Fault("jitter", n, burst.first, burst.last, burst.sd, f"{name} jitters by {amount} each axis {duration}."))
     return faults
 
 

@@ -156,8 +156,7 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
     gaps = np.minimum(motion.joint_positions - body.robot.limits[:, 0], body.robot.limits[:, 1] - motion.joint_positions)
     is_at_limit, rotation = gaps < AT_LIMIT_RAD, targets.terms.rotation
     turns = motion.link_rotations[:, rotation.links[:2]].swapaxes(2, 3) @ rotation.rotations[:, :2]
-    turn_rad = np.arccos(np.clip(0.5 * (np.trace(turns, axis1=2, axis2=3) - 1.0), -1.0, 1.0))
-    pelvis_deg, chest_deg = np.degrees(np.percentile(turn_rad, 95, axis=0)).tolist()
+    turn_rad = np.linalg.norm(compute_rotation_vectors(turns), axis=-1)
     ratio = np.abs(motion.joint_velocities).max(axis=0) / body.speed_limits
     fastest = int(np.argmax(ratio))
     costs = compute_hinged_costs(body.tree, targets.isolate_collisions(), motion.references, motion.unknowns)
@@ -166,7 +165,7 @@ def measure_robot_motion(body: RobotBody, targets: RobotTargets, motion: RobotMo
     return RobotFigures(
         int(is_shown.sum()),
         (float(angles.mean()), float(np.percentile(angles, 95))),
-        (pelvis_deg, chest_deg),
+        tuple(np.degrees(np.percentile(turn_rad, 95, axis=0)).tolist()),
         float(is_at_limit.any(axis=1).mean()),
         body.robot.joint_names[int(is_at_limit.sum(axis=0).argmax())],
         float(ratio[fastest]),

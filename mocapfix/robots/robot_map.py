@@ -13,7 +13,7 @@ farthest is the arm.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import compress
+from itertools import compress, product
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -135,19 +135,17 @@ def turn_upright(robot: Robot, find: Callable[[Robot], RobotMap]) -> tuple[Robot
     Raises:
         SceneError: As `find` does for a root that is not turned, if no root fits.
     """
-    reasons = list[SceneError]()
-    for heading in range(4):
-        for axes in (np.eye(3), robot.link_rotations[0], ROTATION_Z_UP_Y_UP):
-            root = Rotation.from_euler("z", heading * np.pi / 2).as_matrix() @ axes
-            turned = replace(robot, link_rotations=np.concatenate([root[None], robot.link_rotations[1:]]))
-            try:
-                found = find(turned)
-            except SceneError as error:
-                reasons.append(error)
-                continue
-            note = " The axes of its root are not X ahead and Z up." if reasons else ""
+    errors = list[SceneError]()
+    for heading, axes in product(range(4), (np.eye(3), robot.link_rotations[0], ROTATION_Z_UP_Y_UP)):
+        root = Rotation.from_euler("z", heading * np.pi / 2).as_matrix() @ axes
+        turned = replace(robot, link_rotations=np.concatenate([root[None], robot.link_rotations[1:]]))
+        try:
+            found = find(turned)
+            note = " The axes of its root are not X ahead and Z up." * bool(errors)
             return turned, replace(found, reason=found.reason + note)
-    raise reasons[0]
+        except SceneError as error:
+            errors.append(error)
+    raise errors[0]
 
 
 def find_robot_map(robot: Robot) -> RobotMap:
