@@ -40,6 +40,7 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import CleanOptions, DetectOptions
+from mocapfix.solve.kinematics import predict_markers
 from mocapfix.stats.marker_distances import estimate_distances
 
 MIN_CONFIRMED_SHIFT_FRACTION = 0.6  # part of a measured shift by which the body's places before and after must differ
@@ -79,6 +80,8 @@ def detect_body_faults(
         if not has_swap[outlier.first : outlier.last + 1].any() and not is_body_wrong(outlier, residuals, distances)
     ]
     faults = swaps + [body_outliers.build_outlier_fault(each, subject_take, max_spike_duration_s) for each in single_outliers]
+    places = predict_markers(subject, (motion.root_position, motion.local_rotations))
+    faults += body_outliers.detect_fallen_markers(subject_take, places)
     shifts = marker_shifts.detect_marker_shifts(residuals, subject, motion, subject_take.rate)
     faulty_markers = {marker for fault in faults for marker in fault.markers}
     shift_faults = [

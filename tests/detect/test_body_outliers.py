@@ -39,6 +39,31 @@ def test_excursion_is_found_to_the_frame(marker, first, length, size, axis):
     assert outlier.distance_m == pytest.approx(size, abs=0.02)
 
 
+def drop(take, marker, frame, returns=None):
+    """Return the take with a marker that falls off in a frame and lies on the floor, to the end or until it returns."""
+    markers, time_s = take.markers.copy(), np.arange(take.frame_count - frame) / take.rate
+    path = np.tile(markers[frame, marker], (len(time_s), 1))
+    path[:, 1] = np.maximum(path[:, 1] - 9.81 / 2 * time_s**2, 0.0)
+    markers[frame:returns, marker] = (path + np.random.default_rng(0).normal(0, 0.0003, path.shape))[
+        : returns and returns - frame
+    ]
+    return take.replace_markers(markers)
+
+
+@pytest.mark.parametrize("label", ["LWRA", "C7", "RKNE"])
+@pytest.mark.parametrize("frame", [130, 170])
+def test_a_marker_that_falls_off_is_no_marker_from_there_on(label, frame):
+    take, marker = solved().take, solved().take.labels.index(label)
+    places = kinematics.predict_markers(solved().subject, (solved().motion.root_position, solved().motion.local_rotations))
+    (fault,) = body_outliers.detect_fallen_markers(drop(take, marker, frame), places)
+    assert (fault.kind, fault.marker, fault.last) == ("ghost", marker, take.frame_count - 1)
+    assert frame <= fault.first <= frame + 8
+    assert body_outliers.detect_fallen_markers(take, places) == []
+    assert body_outliers.detect_fallen_markers(drop(take, marker, frame, take.frame_count - 10), places) == []
+    assert body_outliers.detect_fallen_markers(drop(take, marker, take.frame_count - 100), places) == []  # too short
+    assert body_outliers.detect_fallen_markers(take, places + 1.0) == []  # the body is wrong
+
+
 def test_sound_take_has_no_outliers():
     assert detect_outliers(solved().take) == []
 
