@@ -12,6 +12,7 @@ Swaps have to be undone first, since both labels of a swap look like ghosts.
 """
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.label_evidence import (
     CONTRADICTION_S_PER_LEAP,
@@ -83,18 +84,9 @@ def detect_ghosts(take: Take) -> list[Fault]:
 
 
 def _compute_ghost_costs(
-    leaps: np.ndarray, contradiction: np.ndarray, is_consecutive: np.ndarray, rate: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the costs, in leaps, of N visible samples.
-
-    Args:
-        leaps: The leap (N,) to each sample.
-        contradiction: The contradiction (N,) of each sample.
-        is_consecutive: Whether (N,) a sample follows the one before without a gap.
-
-    Returns:
-        The costs (N, 2, 2) of the step into each sample's state, and the costs (N, 2) of the state.
-    """
+    leaps: Float[np.ndarray, " N"], contradiction: Float[np.ndarray, " N"], is_consecutive: Bool[np.ndarray, " N"], rate: float
+) -> tuple[Float[np.ndarray, "N 2 2"], Float[np.ndarray, "N 2"]]:
+    """Return the costs, in leaps, of the step into each state of the visible samples, and of the state itself."""
     step_cost = np.broadcast_to(leaps[:, None, None], (len(leaps), 2, 2)).copy()
     is_smooth = is_consecutive & (leaps < MAX_SMOOTH_LEAP)
     step_cost[:, [0, 1], [1, 0]] = (GHOST_CHANGE_COST + SMOOTH_CHANGE_COST * is_smooth)[:, None]
@@ -103,16 +95,12 @@ def _compute_ghost_costs(
 
 
 def _measure_displacement(
-    markers: np.ndarray, distances: MarkerDistances, marker: int, visible: np.ndarray, interval: tuple[int, int]
+    markers: np.ndarray, distances: MarkerDistances, marker: int, visible: Int[np.ndarray, " N"], interval: tuple[int, int]
 ) -> tuple[float, float, bool]:
-    """Measure the deviation from the distances to the steadiest partners.
+    """Measure the deviation from the distances to the steadiest partners in an interval of the frames that show the marker.
 
     Return its size in metres, NaN if unknown, its standard deviation over time, and whether it changes abruptly at both ends, or
     may do so.
-
-    Args:
-        visible: The frames (N,) in which the marker is visible.
-        interval: Indices into these, of the first and the last sample of the displacement.
     """
     a, b = interval
     frames, partners = visible[a : b + 1], distances.partner[marker, :MAX_GHOST_PARTNERS]

@@ -176,11 +176,7 @@ def _interpolate(
 ) -> list[GapEstimate]:
     """Return the estimates between the edges of a gap, on a line and on a spline, in moving axes.
 
-    Args:
-        path: Metres in the world in the frames of the gap, NaN if unknown.
-        line_sd_m: Expected standard deviation of the line per axis, in the middle of the gap.
-        saturation: Frames above which errors no longer grow with them.
-        rate: Frame rate in Hz.
+    `line_sd_m` is expected of the line per axis, in the middle of the gap; beyond `saturation` frames errors no longer grow.
     """
     w, rows, hidden_rows = gap.window, gap.rows, gap.hidden_rows
     is_known = ~np.isnan(path[rows, 0] + axes.origin[rows, 0])[: len(rows) - w.length]

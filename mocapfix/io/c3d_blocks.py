@@ -164,14 +164,8 @@ def _choose(
 
     The readings are tried in groups, the next only if none of a group has plausible values, or in the first too few to say: those
     that end with the file and of which each field is declared; those whose analog values, or else frames, follow from the size of
-    the data; those that are followed by other bytes.
-
-    Args:
-        declared: What the file declares if all is right, with the number of frames that it can have, 0 for none.
-        sources: What each place says.
-
-    Raises:
-        ReadError: If two readings remain possible, or none although the file is large enough.
+    the data; those that are followed by other bytes. `declared` has the number of frames that it can have, 0 for none. Raises
+    ReadError if two readings remain possible, or none although the file is large enough.
     """
     size = len(data)
     candidates = [declared, *_combine_sources(parameters, declared, sources)]

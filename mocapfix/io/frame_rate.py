@@ -320,14 +320,10 @@ def _read_clock(times: FrameTimes, steps: Int[np.ndarray, " n"], stated: float |
 
 
 def _count_omitted_frames(excess: Float[np.ndarray, " n"], noise: float) -> Int[np.ndarray, " n"]:
-    """Return the frames that each time step omits.
+    """Return the frames that each time step omits, by its excess and the noise of rounding, in frames.
 
     A long step omits frames if the times after it are late, on average, compared with those before it. A single time that is
     late omits none.
-
-    Args:
-        excess: How much longer each step is than it should be, in frames.
-        noise: By how much rounding may lengthen a step, in frames.
     """
     lateness, omitted = np.concatenate([[0.0], np.cumsum(excess)]), np.zeros(len(excess), int)
     if not np.all(np.abs(lateness) < MAX_LATENESS_FRAMES):

@@ -256,14 +256,10 @@ class RigidSignatures:
             side_sd = self._measure_side(points, others, marker, candidates[:MAX_PLANE_CANDIDATES])
         return SignatureMatch(distance_sd, side_sd, _compute_rms(typical_m), tuple(partners.tolist()))
 
-    def _measure_side(self, points: np.ndarray, others: np.ndarray, marker: int, candidates: np.ndarray) -> float:
-        """Measure the deviation, in standard deviations, of the height above the plane that separates the sides best.
-
-        Args:
-            points: The samples (N, 3).
-            others: The positions (N, K, 3) of the candidates in their frames, and maybe of more.
-            candidates: Indices of the markers that may be corners.
-        """
+    def _measure_side(
+        self, points: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "N K 3"], marker: int, candidates: np.ndarray
+    ) -> float:
+        """Measure the deviation, in standard deviations, of the height above the plane that separates the sides best."""
         best_separation, side_sd = 0.0, 0.0
         for corners in combinations(range(len(candidates)), 3):
             heights = compute_plane_heights(self.sampled_markers[:, marker], self.sampled_markers[:, candidates[list(corners)]])

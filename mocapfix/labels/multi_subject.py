@@ -296,27 +296,18 @@ def _compare_markers(take: Take, columns: Int[np.ndarray, "2 K"]) -> MarkerPairs
 def _measure_deviations(
     pairs: MarkerPairs, coordinates_m: Float[np.ndarray, "3 L S"], p: int, q: int
 ) -> Float[np.ndarray, "E S"]:
-    """Measure the distances from the first labels on subject `p` to the second ones on `q`.
-
-    Args:
-        coordinates_m: Those of the first subject's labels and then of the second one's, in the compared frames.
-
-    Returns:
-        By how many tolerances they differ from those on the subject to which they are more similar.
+    """Return by how many tolerances the distances from the first labels on subject `p` to the second ones on `q` differ from
+    those on the subject to which they are more similar. The labels of the first subject come before those of the second.
     """
     count, (one, two) = pairs.columns.shape[1], pairs.partners.T
     distance_m = compute_lengths(np.moveaxis(coordinates_m[:, p * count + one] - coordinates_m[:, q * count + two], 0, -1))
     return np.abs((distance_m - pairs.length_m[..., None]) / pairs.tolerance_m[:, None]).min(0)
 
 
-def _fits_other(pairs: MarkerPairs, coordinates_m: Float[np.ndarray, "3 L S"], is_near: np.ndarray, rate: float) -> bool:
-    """Return whether the distance of two labels is broken on the subjects for some time, and is kept from one to the other.
-
-    Args:
-        coordinates_m: As for `_measure_deviations`.
-        is_near: Whether the subjects are near one another in each of the S frames.
-        rate: Compared frames per second.
-    """
+def _fits_other(
+    pairs: MarkerPairs, coordinates_m: Float[np.ndarray, "3 L S"], is_near: Bool[np.ndarray, " S"], rate: float
+) -> bool:
+    """Return whether the distance of two labels is broken on the subjects for some time, and is kept from one to the other."""
     own = np.fmin(*(_measure_deviations(pairs, coordinates_m, p, p) for p in range(2)))
     across = np.fmax(*(_measure_deviations(pairs, coordinates_m, p, 1 - p) for p in range(2)))
     min_frames = max(1, round(MIN_BROKEN_DURATION_S * rate))
@@ -327,14 +318,8 @@ def _fits_other(pairs: MarkerPairs, coordinates_m: Float[np.ndarray, "3 L S"], i
 def _compare_tracklets(
     take: Take, pairs: MarkerPairs, tracklets: Int[np.ndarray, "T M"], coordinates_m: Float[np.ndarray, "3 L S"]
 ) -> tuple["scipy.sparse.csr_array", Float[np.ndarray, " N"]]:
-    """Compare the distances between tracklets with those on the subjects.
-
-    Args:
-        coordinates_m: As for `_measure_deviations`.
-
-    Returns:
-        The evidence about pairs of tracklets, no larger than frames that depend on each other allow, and for how many seconds
-        longer each tracklet has labels of the first subject than of the second.
+    """Return the evidence about pairs of tracklets by their distances, no larger than frames that depend on each other allow, and
+    for how many seconds longer each tracklet has labels of the first subject than of the second.
     """
     label_s = np.zeros(int(tracklets.max()) + 1)
     for p, sign in enumerate((1.0, -1.0)):

@@ -110,14 +110,9 @@ def estimate_distances_from(
 
 
 def _find_shortest_intervals(
-    ordered: np.ndarray, counts: np.ndarray, fraction: float
+    ordered: Float[np.ndarray, "N S"], counts: Int[np.ndarray, " N"], fraction: float
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-    """Find in each row (N, S) the shortest interval that holds a fraction of its values; return its start and width.
-
-    Args:
-        ordered: The values, which ascend in each row and end with its NaN.
-        counts: The number (N,) of values of each row.
-    """
+    """Find the shortest interval that holds a fraction of the values of each row, which ascend; return its start and width."""
     if not len(counts):
         return np.empty(0), np.empty(0)
     rows, inside = np.arange(len(counts)), np.ceil(fraction * counts).astype(int)
