@@ -25,12 +25,11 @@ from mocapfix.io.files import get_source_suffixes
 from mocapfix.io.gltf import write_gltf
 from mocapfix.io.npz import write_npz
 from mocapfix.io.patches import patch_c3d, patch_table
-from mocapfix.io.resampling import resample_motion
 from mocapfix.io.source_file import append_computed_points
 from mocapfix.io.text_tables import write_csv, write_trc
 from mocapfix.model.animation import Animation
 from mocapfix.model.changes import Change
-from mocapfix.model.motion import Motion
+from mocapfix.model.motion import Motion, resample_motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import TableLayout, Take

@@ -24,12 +24,11 @@ from mocapfix.hands.solve_hands import HandMotion
 from mocapfix.io.c3d_events import add_c3d_events
 from mocapfix.io.changes_file import NO_REVIEW, Review
 from mocapfix.io.files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
-from mocapfix.io.resampling import is_frame_subset
 from mocapfix.labels.multi_subject import SubjectExchanges
 from mocapfix.model.changes import Change, Decided, UnfilledRun, serialize_changes
 from mocapfix.model.detected import find_namesakes
 from mocapfix.model.faults import MISSING_KINDS, SHIFT_KINDS, Fault, Faults, Fragment, overlap_in_time
-from mocapfix.model.motion import Motion
+from mocapfix.model.motion import Motion, is_frame_subset
 from mocapfix.model.stage_timer import ProgressCallback, StageTimer
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import C3dLayout, ComputedPoints, TableLayout, Take

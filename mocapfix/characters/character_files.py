@@ -56,10 +56,9 @@ from mocapfix.io.gltf import (
 )
 from mocapfix.io.gltf_mesh import NODE_PROPERTIES
 from mocapfix.io.npz import write_character_npz
-from mocapfix.io.resampling import resample_motion
 from mocapfix.io.usd import write_usd
 from mocapfix.model.animation import Animation
-from mocapfix.model.motion import Motion
+from mocapfix.model.motion import Motion, resample_motion
 from mocapfix.model.skeleton import Skeleton, decompose_transforms, make_names_unique
 from mocapfix.options import ROOT_BONE, OutputOptions
 

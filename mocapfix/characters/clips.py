@@ -39,7 +39,7 @@ from mocapfix.characters.character import (
 from mocapfix.characters.read_gltf import open_gltf
 from mocapfix.io.gltf import GlbContent, GltfBuffer, build_glb, parse_glb, read_gltf_nodes
 from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, read_array
-from mocapfix.io.resampling import FRAME_TOLERANCE
+from mocapfix.model.motion import FRAME_TOLERANCE
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.take import Take
 from mocapfix.options import ROOT_BONE, ROOT_IN_PLACE

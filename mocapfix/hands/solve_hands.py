@@ -33,9 +33,8 @@ from mocapfix.hands.calibrated_hand import (
 from mocapfix.hands.calibration import calibrate_hand
 from mocapfix.hands.finger_markers import FingerMarkers, find_finger_markers, select_carried
 from mocapfix.hands.hand_model import HAND_JOINTS, JOINTS_PER_RAY, RAY_ROOTS, TIP_JOINTS, HandModel, Side, load_hand
-from mocapfix.io.resampling import resample_motion
 from mocapfix.model.body_fit import BodyFit
-from mocapfix.model.motion import Motion, PoseUncertainty
+from mocapfix.model.motion import Motion, PoseUncertainty, resample_motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take

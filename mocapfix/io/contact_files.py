@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from mocapfix.contacts.contacts import CONTACT_JOINTS, OTHER_CONTACT_JOINTS, BodyContacts
 from mocapfix.errors import SceneError, format_name_list
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.resampling import FRAME_TOLERANCE
+from mocapfix.model.motion import FRAME_TOLERANCE
 
 EVENT_COLUMNS = ("time_s", "frame", "side", "event", "source")
 

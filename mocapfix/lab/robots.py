@@ -24,8 +24,8 @@ from mocapfix.characters.character import build_cmu31_character
 from mocapfix.characters.kept_positions import resample_foot_contacts
 from mocapfix.errors import ReadError
 from mocapfix.lab.retargeting import BenchMotion, load_bench_motions
-from mocapfix.robots.load_robot import compile_model, load_robot, may_collide
 from mocapfix.robots.retarget_robot import RobotMotion, compose_robot_motion, find_start, retarget_to_robot
+from mocapfix.robots.robot import compile_model, load_robot, may_collide
 from mocapfix.robots.robot_files import OVERLAP_M, build_robot_arrays, compute_limb_directions, measure_robot_motion
 from mocapfix.robots.robot_map import find_robot_map
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets, stand_feet

@@ -35,9 +35,8 @@ from mocapfix.io.gltf import GlbContent, build_glb, build_skinned_document
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, decompose_transforms, make_names_unique
 from mocapfix.options import OutputOptions
-from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, differentiate, retarget_to_robot
-from mocapfix.robots.robot import LIMBS, LinkPoint
+from mocapfix.robots.robot import LIMBS, LinkPoint, load_robot
 from mocapfix.robots.robot_map import find_robot_map, read_robot_map, turn_upright, write_robot_map
 from mocapfix.robots.robot_targets import (
     ROBOT_AXES,

@@ -13,8 +13,7 @@ from mocapfix import pipeline
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, Floor, GaitEvent
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.io.contact_files import list_intervals_at_rate, read_contacts, write_contacts, write_gait_events
-from mocapfix.io.resampling import resample_motion
-from mocapfix.model.motion import FrameStatus, Motion
+from mocapfix.model.motion import FrameStatus, Motion, resample_motion
 from mocapfix.options import OutputOptions
 from mocapfix.synthetic import compose_take
 from tests.conftest import build_c3d

@@ -12,8 +12,8 @@ from mocapfix.characters.character import build_cmu31_character, convert_motion
 from mocapfix.errors import ReadError
 from mocapfix.lab.retargeting import BenchMotion, find_marker_middles
 from mocapfix.lab.robots import list_robot_files, measure_collisions, measure_figures, measure_robot, measure_standing
-from mocapfix.robots.load_robot import compile_model, load_robot
 from mocapfix.robots.retarget_robot import compose_robot_motion
+from mocapfix.robots.robot import compile_model, load_robot
 from mocapfix.robots.robot_map import find_robot_map, list_leaders
 from mocapfix.robots.robot_targets import build_robot_body, compute_robot_targets
 from mocapfix.solve.trajectory import ROOT_UNKNOWNS

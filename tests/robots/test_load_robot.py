@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import ReadError, SceneError, format_name_list
-from mocapfix.robots.load_robot import load_robot
-from mocapfix.robots.robot import Robot
+from mocapfix.robots.robot import Robot, load_robot
 from mocapfix.robots.robot_map import build_hinged_tree, list_leaders
 from mocapfix.solve.trajectory import place_points
 from tests.robots.humanoid import SPEED_LIMITS, build_mjcf, build_urdf, list_parts

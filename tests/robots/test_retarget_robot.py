@@ -13,9 +13,8 @@ from mocapfix.contacts.contacts import FOOT_JOINTS
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import load_cmu31_skeleton
 from mocapfix.robots import retarget_robot
-from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, retarget_to_robot
-from mocapfix.robots.robot import SIDES
+from mocapfix.robots.robot import SIDES, load_robot
 from mocapfix.robots.robot_files import measure_robot_motion
 from mocapfix.robots.robot_map import find_robot_map, turn_upright
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets, stand_feet

@@ -19,9 +19,8 @@ from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.options import OutputOptions
 from mocapfix.output_formats import list_output_formats
-from mocapfix.robots.load_robot import load_robot
 from mocapfix.robots.retarget_robot import RobotMotion, compose_robot_motion
-from mocapfix.robots.robot import SIDES
+from mocapfix.robots.robot import SIDES, load_robot
 from mocapfix.robots.robot_files import (
     MAX_LIMB_DEG,
     ON_FLOOR_M,

@@ -8,8 +8,7 @@ import pytest
 import yaml
 
 from mocapfix.errors import SceneError
-from mocapfix.robots.load_robot import load_robot
-from mocapfix.robots.robot import SIDES, LinkPoint
+from mocapfix.robots.robot import SIDES, LinkPoint, load_robot
 from mocapfix.robots.robot_map import find_robot_map, read_robot_map, stand_robot, write_robot_map
 from tests.robots.humanoid import LENGTHS, SOLE, build_mjcf, list_parts
 

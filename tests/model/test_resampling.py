@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.io.resampling import is_frame_subset, resample_motion
-from mocapfix.model.motion import Motion
+from mocapfix.model.motion import Motion, is_frame_subset, resample_motion
 from tests.io.read_back import motion_of, smooth_rotations
 
 RATES = st.sampled_from([24.0, 25.0, 29.97, 30.0, 50.0, 59.94, 60.0, 100.0, 119.88, 120.0, 240.0])
