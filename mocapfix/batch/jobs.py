@@ -18,19 +18,8 @@ from typing import Any, get_args
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mocapfix.batch import records
 from mocapfix.batch.child_process import JobLimits, JobOutcome, measure_peak_memory_mb, run_in_child
-from mocapfix.batch.records import (
-    FailureReason,
-    SubjectFigures,
-    TakeRecord,
-    get_record_path,
-    get_take_folder,
-    hash_file,
-    hash_options,
-    hold_take,
-    read_record,
-    write_record,
-)
 from mocapfix.errors import MocapfixError, SceneError, WriteError, join_names
 from mocapfix.io.changes_file import CHANGES_SUFFIX, read_changes_model
 from mocapfix.io.shipped import get_version
@@ -58,10 +47,10 @@ class CleanRequest:
     subject_files: tuple[tuple[str, str], ...] = ()
 
 
-def find_current_record(request: CleanRequest, *, repeat_failed: bool = False) -> TakeRecord | None:
+def find_current_record(request: CleanRequest, *, repeat_failed: bool = False) -> records.TakeRecord | None:
     """Return the record of a take if it need not be cleaned: input, options and version agree, and all outputs exist."""
-    record = read_record(get_record_path(request.output_folder, request.take))
-    if record is None or record.version != get_version() or record.options_sha256 != hash_options(request.options):
+    record = records.read_record(records.get_record_path(request.output_folder, request.take))
+    if record is None or record.version != get_version() or record.options_sha256 != records.hash_options(request.options):
         return None
     if record.status == "failed":
         return None if repeat_failed or record.input_sha256 != try_to_hash(request.path) else record
@@ -73,7 +62,7 @@ def find_current_record(request: CleanRequest, *, repeat_failed: bool = False) -
 def try_to_hash(path: Path) -> str:
     """Return the hash of a file, "" if it cannot be read."""
     try:
-        return hash_file(path)
+        return records.hash_file(path)
     except OSError:
         return ""
 
@@ -87,14 +76,14 @@ def run_with_retries(function: str, request: object, limits: JobLimits) -> JobOu
     return outcome
 
 
-def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_FUNCTION) -> TakeRecord:
+def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_FUNCTION) -> records.TakeRecord:
     """Clean a take in a child process within limits, and return its record. Run by a worker.
 
     The record of a take that failed is written here, that of one that is done by the child.
     """
     started = format_now()
     outcome = run_with_retries(function, request, limits)
-    if isinstance(outcome.value, TakeRecord):
+    if isinstance(outcome.value, records.TakeRecord):
         return outcome.value
     try:
         return write_failure(request, outcome, started)
@@ -102,7 +91,7 @@ def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_F
         return build_failed_record(request, replace(outcome, status="error", error=str(error)), started, 1)
 
 
-def clean_recorded_take(request: CleanRequest) -> TakeRecord:
+def clean_recorded_take(request: CleanRequest) -> records.TakeRecord:
     """Clean a take, write its outputs and its record, and return the record. Run in a child.
 
     A record that another process wrote after this job was given out is returned as it is. Raises MocapfixError.
@@ -111,7 +100,7 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
     from mocapfix.model.stage_timer import omit_stage_times
 
     started, start = format_now(), time.monotonic()
-    with hold_take(request.output_folder, request.take) as attempts:
+    with records.hold_take(request.output_folder, request.take) as attempts:
         found = find_current_record(request)
         if found and found.status == "done":
             return found
@@ -122,7 +111,7 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
                 f"{request.path}: was begun {MAX_LOST_ATTEMPTS} times, and the worker or its computer was lost each time."
             )
         count = attempts.begin(key)
-        folder = get_take_folder(request.output_folder, request.take)
+        folder = records.get_take_folder(request.output_folder, request.take)
         with omit_stage_times():
             result, notes = clean_with_decisions(request, input_sha256)
             outputs = result.write(folder, overwrite=True, options=request.options.output)
@@ -141,7 +130,7 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
             subjects=(first.model_copy(update={"notes": (*notes, *first.notes)}), *others),
             started=started,
         )
-        write_record(request.output_folder, record)
+        records.write_record(request.output_folder, record)
         attempts.clear()
     return record
 
@@ -154,8 +143,8 @@ def clean_with_decisions(request: CleanRequest, input_sha256: str) -> tuple[Any,
     """
     from mocapfix import pipeline
 
-    record, folder = read_record(get_record_path(request.output_folder, request.take)), request.output_folder
-    paths = get_take_folder(folder, request.take).glob(f"*.{CHANGES_SUFFIX}")
+    record, folder = records.read_record(records.get_record_path(request.output_folder, request.take)), request.output_folder
+    paths = records.get_take_folder(folder, request.take).glob(f"*.{CHANGES_SUFFIX}")
     models = {path: read_changes_model(path) for path in sorted(paths)}
     files = [path for path, file in models.items() if file.corrections or any(x.reviewed or x.note for x in file.changes)]
     is_same_input = record is not None and bool(record.outputs) and record.input_sha256 == input_sha256
@@ -183,26 +172,29 @@ def _set_aside(path: Path, reason: str) -> str:
     return f"{text} Those set aside before stay in {join_names(before)}." if before else text
 
 
-def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> TakeRecord:
+def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> records.TakeRecord:
     """Write and return the record of a take that failed. One that another process has done is not replaced. Raises WriteError."""
-    with hold_take(request.output_folder, request.take) as attempts:
+    with records.hold_take(request.output_folder, request.take) as attempts:
         found = find_current_record(request)
         if found and found.status == "done":
             return found
         record = build_failed_record(request, outcome, started, max(1, attempts.count(build_attempt_key(request))))
-        write_record(request.output_folder, record)
+        records.write_record(request.output_folder, record)
         attempts.clear()
     return record
 
 
-def build_failed_record(request: CleanRequest, outcome: JobOutcome, started: str, attempts: int) -> TakeRecord:
-    before, input_sha256 = read_record(get_record_path(request.output_folder, request.take)), try_to_hash(request.path)
+def build_failed_record(request: CleanRequest, outcome: JobOutcome, started: str, attempts: int) -> records.TakeRecord:
+    before, input_sha256 = (
+        records.read_record(records.get_record_path(request.output_folder, request.take)),
+        try_to_hash(request.path),
+    )
     return build_record(
         request,
         input_sha256=input_sha256,
         outputs=before.outputs if before and before.input_sha256 == input_sha256 else {},
         status="failed",
-        reason=outcome.status if outcome.status in get_args(FailureReason) else "error",
+        reason=outcome.status if outcome.status in get_args(records.FailureReason) else "error",
         error=outcome.error if request.path.name in outcome.error else f"{request.path}: {outcome.error}",
         attempts=attempts,
         seconds=round(outcome.seconds, 3),
@@ -211,12 +203,12 @@ def build_failed_record(request: CleanRequest, outcome: JobOutcome, started: str
     )
 
 
-def build_record(request: CleanRequest, **fields: Any) -> TakeRecord:
+def build_record(request: CleanRequest, **fields: Any) -> records.TakeRecord:
     """Return a record with the fields that follow from the request, and others."""
-    return TakeRecord(
+    return records.TakeRecord(
         take=request.take,
         input=str(request.path),
-        options_sha256=hash_options(request.options),
+        options_sha256=records.hash_options(request.options),
         version=get_version(),
         subject_files=dict(request.subject_files),
         finished=format_now(),
@@ -226,7 +218,7 @@ def build_record(request: CleanRequest, **fields: Any) -> TakeRecord:
 
 def build_attempt_key(request: CleanRequest) -> str:
     """Return what identifies attempts with the same input, options and version."""
-    return f"{try_to_hash(request.path)[:16]} {hash_options(request.options)[:16]} {get_version()}"
+    return f"{try_to_hash(request.path)[:16]} {records.hash_options(request.options)[:16]} {get_version()}"
 
 
 def format_now() -> str:
@@ -251,17 +243,17 @@ def load_everything() -> None:
         pipeline.clean(path).write(Path(folder) / "out")
 
 
-def measure_result(result: CleaningResult) -> list[SubjectFigures]:
+def measure_result(result: CleaningResult) -> list[records.SubjectFigures]:
     """Return the figures of each subject of a cleaned take or animation."""
     return [measure_subject(each) for each in result.subject_results or (result,)]
 
 
-def measure_subject(result: CleaningResult) -> SubjectFigures:
+def measure_subject(result: CleaningResult) -> records.SubjectFigures:
     """Return the figures of a take of at most one subject, with the picture of its worst moment."""
     report, take = result.subject_report, result.input_take
     fill, solve = report["fill"], report["solve"]
     frame, worst = result.comparison.worst_moment if take.visible.size else (None, None)
-    return SubjectFigures(
+    return records.SubjectFigures(
         subject=take.subject_name,
         marker_set=report["take"]["marker_set"],
         frame_count=take.frame_count,

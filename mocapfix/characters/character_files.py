@@ -41,19 +41,9 @@ from mocapfix.contacts.contacts import BodyContacts, build_no_contacts
 from mocapfix.errors import ReadError, SceneError, WriteError, format_name_list
 from mocapfix.hands.hand_model import JOINTS_PER_RAY
 from mocapfix.hands.solve_hands import BodyWithHands, HandMotion
+from mocapfix.io import gltf
 from mocapfix.io.bvh import CENTIMETRE_M, write_bvh_tree
 from mocapfix.io.files import make_scratch_folder, replace_atomically
-from mocapfix.io.gltf import (
-    GlbContent,
-    GltfBuffer,
-    add_animation,
-    build_glb,
-    build_skinned_document,
-    compute_bone_transforms,
-    copy_first_animation,
-    parse_glb,
-    read_gltf_nodes,
-)
 from mocapfix.io.gltf_mesh import NODE_PROPERTIES
 from mocapfix.io.npz import write_character_npz
 from mocapfix.io.usd import write_usd
@@ -93,7 +83,7 @@ def write_character_glb(target: Path, character: Character, motion: CharacterMot
     """
     content, nodes = _open_document(character)
     curves = _compute_node_curves(character, motion, content, nodes)
-    buffer = GltfBuffer(content.document, content.binary)
+    buffer = gltf.GltfBuffer(content.document, content.binary)
     written = {(int(nodes[bone]), "translation") for bone in curves.positions}
     written |= {(int(nodes[bone]), "rotation") for bone in curves.turning}
     others = _list_animated_nodes(content.document, set(nodes.tolist())).difference(written)
@@ -104,21 +94,21 @@ def write_character_glb(target: Path, character: Character, motion: CharacterMot
     name = _make_name_unique(take_name, content.document.get("animations", []))
     positions = {int(nodes[bone]): position for bone, position in curves.positions.items()}
     turned_nodes = {bone: int(nodes[bone]) for bone in curves.turning}
-    add_animation(buffer, name, curves.rotations, positions, turned_nodes, motion.rate, rest_values)
-    data = build_glb(GlbContent(content.document, buffer.finish(), content.other_chunks))
+    gltf.add_animation(buffer, name, curves.rotations, positions, turned_nodes, motion.rate, rest_values)
+    data = gltf.build_glb(gltf.GlbContent(content.document, buffer.finish(), content.other_chunks))
     with replace_atomically(Path(target)) as part:
         part.write_bytes(data)
 
 
-def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " J"]]:
+def _open_document(character: Character) -> tuple[gltf.GlbContent, Int[np.ndarray, " J"]]:
     """Return the content to which the animation is appended, and the node of each bone."""
     source = character.source
     if source is not None and source.kind == "gltf":
-        return parse_glb(Path(source.path), source.data), source.nodes
+        return gltf.parse_glb(Path(source.path), source.data), source.nodes
     shown_parents = character.skeleton.parents.copy()
     shown_parents[character.mapping.bones["pelvis"][0]] = -1  # no bone is shown from a root bone to the pelvis
-    buffer = build_skinned_document(character.skeleton, shown_parents)
-    return GlbContent(buffer.document, buffer.finish()), np.arange(len(shown_parents))
+    buffer = gltf.build_skinned_document(character.skeleton, shown_parents)
+    return gltf.GlbContent(buffer.document, buffer.finish()), np.arange(len(shown_parents))
 
 
 def _list_animated_nodes(document: Mapping[str, Any], nodes: Collection[int]) -> set[tuple[int, str]]:
@@ -142,7 +132,7 @@ class NodeCurves(NamedTuple):
 
 
 def _compute_node_curves(
-    character: Character, motion: CharacterMotion, content: GlbContent, nodes: Int[np.ndarray, " J"]
+    character: Character, motion: CharacterMotion, content: gltf.GlbContent, nodes: Int[np.ndarray, " J"]
 ) -> NodeCurves:
     """Return the curves that move the nodes of a document like the bones.
 
@@ -152,10 +142,10 @@ def _compute_node_curves(
     pelvis, turning = character.mapping.bones["pelvis"][0], list_moving_bones(character, motion)
     if character.source is None or character.source.kind != "gltf":
         return NodeCurves(motion.local_rotations, turning, {pelvis: motion.pelvis_position, **motion.positions})
-    tree = read_gltf_nodes(Path(character.source.path), content.document)
+    tree = gltf.read_gltf_nodes(Path(character.source.path), content.document)
     place = {node: bone for bone, node in enumerate(nodes.tolist())}
     ordered = [node for node in tree.ordered if node in place]
-    at_rest, order = compute_bone_transforms(tree, ordered), np.argsort([place[node] for node in ordered])
+    at_rest, order = gltf.compute_bone_transforms(tree, ordered), np.argsort([place[node] for node in ordered])
     parents = np.array([place.get(int(tree.parents[node]), -1) for node in nodes])
     local_positions, rotations = decompose_transforms(*compute_character_poses(character, motion), parents)
     is_moved = np.abs(at_rest.positions[order] - character.skeleton.offsets).max(1) >= MIN_MOVED_OFFSET_M
@@ -184,13 +174,13 @@ def write_clips(target: Path, paths: Sequence[Path]) -> None:
     Raises:
         WriteError: If `target` is not writable.
     """
-    first, *others = (parse_glb(path, path.read_bytes()) for path in paths)
-    buffer = GltfBuffer(first.document, first.binary)
+    first, *others = (gltf.parse_glb(path, path.read_bytes()) for path in paths)
+    buffer = gltf.GltfBuffer(first.document, first.binary)
     for place, other in enumerate(others, start=1):
         name = _make_name_unique(other.document["animations"][0]["name"], first.document["animations"])
-        copy_first_animation(buffer, name, other, place)
+        gltf.copy_first_animation(buffer, name, other, place)
     with replace_atomically(target) as part:
-        part.write_bytes(build_glb(GlbContent(first.document, buffer.finish(), first.other_chunks)))
+        part.write_bytes(gltf.build_glb(gltf.GlbContent(first.document, buffer.finish(), first.other_chunks)))
 
 
 def _make_name_unique(name: str, animations: Iterable[dict[str, Any]]) -> str:

@@ -37,20 +37,7 @@ from mocapfix.characters.character import (
     get_next_segment,
 )
 from mocapfix.errors import ReadError, SceneError
-from mocapfix.io.gltf import (
-    MAX_GLB_BYTES,
-    GlbContent,
-    GltfNodes,
-    are_numbers,
-    build_glb,
-    compute_bone_transforms,
-    is_glb,
-    parse_glb,
-    parse_gltf_document,
-    read_gltf_nodes,
-    read_index,
-    read_indices,
-)
+from mocapfix.io import gltf
 from mocapfix.io.gltf_mesh import UNREADABLE, compute_node_matrices, extract_rotations, move_nodes, read_array
 from mocapfix.model.skeleton import Skeleton, decompose_transforms
 
@@ -63,7 +50,7 @@ IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\xabKTX
 """beginning of an image to its type"""
 
 
-def read_packed_gltf(path: Path, data: bytes) -> tuple[GlbContent, bytes]:
+def read_packed_gltf(path: Path, data: bytes) -> tuple[gltf.GlbContent, bytes]:
     """Return a glTF, binary or text, as one GLB whose binary chunk holds its buffers: its content and its bytes.
 
     Buffers in data URIs and side files, and images in side files, are appended to the binary chunk. An image that is missing is
@@ -72,7 +59,7 @@ def read_packed_gltf(path: Path, data: bytes) -> tuple[GlbContent, bytes]:
     Raises:
         ReadError: If the container, the document or a buffer is damaged or missing. The message names the file.
     """
-    content = parse_glb(path, data) if is_glb(data) else GlbContent(parse_gltf_document(path, data), b"")
+    content = gltf.parse_glb(path, data) if gltf.is_glb(data) else gltf.GlbContent(gltf.parse_gltf_document(path, data), b"")
     _check_document(path, content.document)
     buffers = content.document.get("buffers", [])
     if content.binary and buffers and "uri" not in buffers[0]:
@@ -82,7 +69,7 @@ def read_packed_gltf(path: Path, data: bytes) -> tuple[GlbContent, bytes]:
         if not any("uri" in each for each in buffers) and not _list_side_images(content.document):
             return content, data
     content = _pack(path, content)
-    return content, build_glb(content)
+    return content, gltf.build_glb(content)
 
 
 def _check_document(path: Path, document: dict[str, Any]) -> None:
@@ -97,11 +84,11 @@ def _check_document(path: Path, document: dict[str, Any]) -> None:
             raise ReadError(f"{path}: {name} is no list of objects; the file is damaged, so export it again.")
     for index, buffer in enumerate(document.get("buffers", [])):
         length = buffer.get("byteLength")
-        if not isinstance(length, int) or isinstance(length, bool) or not 1 <= length <= MAX_GLB_BYTES:
+        if not isinstance(length, int) or isinstance(length, bool) or not 1 <= length <= gltf.MAX_GLB_BYTES:
             raise ReadError(f"{path}: buffers[{index}] has no valid byteLength; the file is damaged, so export it again.")
 
 
-def _pack(path: Path, content: GlbContent) -> GlbContent:
+def _pack(path: Path, content: gltf.GlbContent) -> gltf.GlbContent:
     """Append all buffers to the binary chunk. Those without data (fallbacks of compressed ones) stay entries of their own."""
     document, packed = content.document, bytearray()
     places: dict[int, tuple[int, int]] = {}  # index of an old buffer: index of its new one, and its first byte there
@@ -125,7 +112,7 @@ def _pack(path: Path, content: GlbContent) -> GlbContent:
         image |= {"bufferView": len(document["bufferViews"]) - 1, "mimeType": kind}
     if packed:
         document["buffers"] = [{"byteLength": len(packed)}, *kept]
-    return GlbContent(document, bytes(packed), content.other_chunks)
+    return gltf.GlbContent(document, bytes(packed), content.other_chunks)
 
 
 def _append(packed: bytearray, data: bytes) -> int:
@@ -253,7 +240,7 @@ def read_vrm_bones(path: Path, document: Mapping[str, Any], node_count: int) -> 
     for entry in bones:
         name, node = entry.get("bone"), entry.get("node")
         if isinstance(name, str) and name in SEGMENTS_OF_VRM_BONES and node != -1:  # -1: not assigned
-            found[name] = read_index(path, f"the humanoid bone {name}", node, node_count)
+            found[name] = gltf.read_index(path, f"the humanoid bone {name}", node, node_count)
     return found
 
 
@@ -280,7 +267,7 @@ def _get_part(document: Any, keys: tuple[str, ...]) -> Any:
     return document
 
 
-def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str, int]) -> BoneMapping:
+def build_vrm_mapping(nodes: gltf.GltfNodes, bones: list[int], vrm_bones: Mapping[str, int]) -> BoneMapping:
     """Build the mapping of the humanoid bones of a VRM.
 
     A bone between two humanoid bones of one limb belongs to the segment of the upper one, and takes a share of its rotation.
@@ -332,7 +319,7 @@ GLTF_SCALE_M = 1.0  # length of a unit of glTF in metres
 
 def is_gltf(head: bytes) -> bool:
     """Return whether a file with this beginning is a glTF, binary or text."""
-    return is_glb(head) or head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
+    return gltf.is_glb(head) or head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
 
 
 def read_gltf_skeletons(path: Path, data: bytes) -> list[Character]:
@@ -348,10 +335,10 @@ def read_gltf_skeletons(path: Path, data: bytes) -> list[Character]:
             file and the bone.
     """
     content, packed_data = read_packed_gltf(path, data)
-    nodes = read_gltf_nodes(path, content.document)
+    nodes = gltf.read_gltf_nodes(path, content.document)
     vrm_bones = read_vrm_bones(path, content.document, len(nodes.entries))
     skins = [
-        read_indices(path, f"skins[{index}].joints", skin.get("joints"), len(nodes.entries))
+        gltf.read_indices(path, f"skins[{index}].joints", skin.get("joints"), len(nodes.entries))
         for index, skin in enumerate(content.document.get("skins", []))
     ]
     skeletons = _group_joints(nodes, skins) or [_find_body_nodes(nodes)]
@@ -365,7 +352,7 @@ def read_gltf_skeletons(path: Path, data: bytes) -> list[Character]:
     return [_add_vrm_twists(character, springs) for character in characters]
 
 
-def _group_joints(nodes: GltfNodes, skins: Sequence[Sequence[int]]) -> list[set[int]]:
+def _group_joints(nodes: gltf.GltfNodes, skins: Sequence[Sequence[int]]) -> list[set[int]]:
     """Return the joints of each skeleton, the largest first. Skins belong together if they share a joint or one above."""
     joints = {joint for skin in skins for joint in skin}
     tops: dict[int, int] = {}  # node to the highest joint at or above it, -1 if there is none
@@ -381,7 +368,7 @@ def _group_joints(nodes: GltfNodes, skins: Sequence[Sequence[int]]) -> list[set[
     return sorted((each for each in found if each), key=len, reverse=True)
 
 
-def _find_body_nodes(nodes: GltfNodes) -> set[int]:
+def _find_body_nodes(nodes: gltf.GltfNodes) -> set[int]:
     """Return the nodes of the largest tree in a file without skin."""
     root_of: dict[int, int] = {}
     for node in nodes.ordered:
@@ -395,13 +382,13 @@ def _find_body_nodes(nodes: GltfNodes) -> set[int]:
     return members
 
 
-def _build_character(nodes: GltfNodes, joints: set[int], data: bytes, vrm_bones: Mapping[str, int]) -> Character:
+def _build_character(nodes: gltf.GltfNodes, joints: set[int], data: bytes, vrm_bones: Mapping[str, int]) -> Character:
     """Return the character of some joints and of the nodes above them."""
     members = joints.union(*(nodes.list_ancestors(joint) for joint in joints))
     bones = [node for node in nodes.ordered if node in members]
     if len(bones) > MAX_BONES:
         raise ReadError(f"{nodes.path}: has {len(bones)} bones, and at most {MAX_BONES} are read; export only the deform bones.")
-    transforms = compute_bone_transforms(nodes, bones)
+    transforms = gltf.compute_bone_transforms(nodes, bones)
     place = {node: bone for bone, node in enumerate(bones)}
     return Character(
         name=nodes.path.stem,
@@ -428,7 +415,7 @@ def _add_vrm_twists(character: Character, spring_nodes: set[int]) -> Character:
     return replace(character, mapping=replace(mapping, twists={segment: chain for segment, chain in twists.items() if chain}))
 
 
-def _find_tails(nodes: GltfNodes, bones: Sequence[int], scales: Float[np.ndarray, " B"]) -> Float[np.ndarray, "B 3"]:
+def _find_tails(nodes: gltf.GltfNodes, bones: Sequence[int], scales: Float[np.ndarray, " B"]) -> Float[np.ndarray, "B 3"]:
     """Return the tail of each bone: the mean of its farther children, also of nodes that are no joints and have no mesh."""
     tails = np.full((len(bones), 3), np.nan)
     for bone, (node, scale) in enumerate(zip(bones, scales, strict=True)):
@@ -442,7 +429,7 @@ def _read_offset(entry: Mapping[str, Any]) -> Float[np.ndarray, " 3"]:
     """Return the position of a node in its parent's axes and the file's units, zero if it is invalid."""
     matrix = entry.get("matrix")
     offset = matrix[12:15] if isinstance(matrix, list) else entry.get("translation")
-    is_valid = isinstance(offset, list) and len(offset) == 3 and are_numbers(offset)
+    is_valid = isinstance(offset, list) and len(offset) == 3 and gltf.are_numbers(offset)
     return np.array(offset if is_valid else [0.0, 0.0, 0.0], float)
 
 
@@ -456,7 +443,7 @@ class BonePoses(NamedTuple):
     rotations: Float[np.ndarray, "T J 3 3"]
 
 
-def open_gltf(character: Character) -> tuple[GlbContent, GltfNodes, dict[int, int]] | None:
+def open_gltf(character: Character) -> tuple[gltf.GlbContent, gltf.GltfNodes, dict[int, int]] | None:
     """Return the glTF of a character, not to be changed, and its bones by node; None for a character of another kind."""
     source = character.source
     if source is None or source.kind != "gltf":
@@ -465,10 +452,10 @@ def open_gltf(character: Character) -> tuple[GlbContent, GltfNodes, dict[int, in
 
 
 @lru_cache(maxsize=1)
-def parse_character_gltf(path: str, data: bytes) -> tuple[GlbContent, GltfNodes]:
+def parse_character_gltf(path: str, data: bytes) -> tuple[gltf.GlbContent, gltf.GltfNodes]:
     """Return the content and the nodes of a file, not to be changed."""
-    content = parse_glb(Path(path), data)
-    return content, read_gltf_nodes(Path(path), content.document)
+    content = gltf.parse_glb(Path(path), data)
+    return content, gltf.read_gltf_nodes(Path(path), content.document)
 
 
 def _convert_to_poses(character: Character, matrices: Float[np.ndarray, "T J 4 4"]) -> BonePoses:
@@ -494,7 +481,7 @@ def read_bind_pose(character: Character) -> BonePoses | None:
 
 
 def _bind_joints(
-    content: GlbContent, nodes: GltfNodes, shown: Float[np.ndarray, "N 4 4"], skin: int
+    content: gltf.GlbContent, nodes: gltf.GltfNodes, shown: Float[np.ndarray, "N 4 4"], skin: int
 ) -> dict[int, Float[np.ndarray, "4 4"]]:
     """Return the transforms of the joints of a skin to the world in the bind pose, nothing if these are not known."""
     meshes = [node for node, entry in enumerate(nodes.entries) if "mesh" in entry and entry.get("skin") == skin]
@@ -531,7 +518,7 @@ def iterate_animations(character: Character) -> Iterator[BonePoses]:
             yield _convert_to_poses(character, matrices)
 
 
-def _list_key_times(content: GlbContent, animation: dict[str, Any], bone_of: dict[int, int]) -> Sequence[float]:
+def _list_key_times(content: gltf.GlbContent, animation: dict[str, Any], bone_of: dict[int, int]) -> Sequence[float]:
     """Return the times in seconds at which a bone has a key. Raises one of UNREADABLE."""
     samplers = [each["sampler"] for each in animation["channels"] if each["target"].get("node") in bone_of]
     inputs = {animation["samplers"][sampler]["input"] for sampler in samplers}

@@ -13,15 +13,7 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli import console
-from mocapfix.cli.commands import (
-    OverwriteOption,
-    TakeArgument,
-    TakesArgument,
-    build_options_argument,
-    describe_option,
-    parse_options,
-)
+from mocapfix.cli import commands, console
 from mocapfix.errors import WriteError
 
 if TYPE_CHECKING:
@@ -59,18 +51,18 @@ def run_marker_set_show(
 
 
 def run_marker_set_learn(
-    take: TakeArgument,
-    options: Annotated[object, build_options_argument(("read",))],
+    take: commands.TakeArgument,
+    options: Annotated[object, commands.build_options_argument(("read",))],
     output_path: Annotated[
         Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="NAME.yaml", help="the marker set to write")
     ],
     like: Annotated[
-        str | None, describe_option("NAME|FILE", "a marker set to which some of the labels belong", "by the labels")
+        str | None, commands.describe_option("NAME|FILE", "a marker set to which some of the labels belong", "by the labels")
     ] = None,
     subject_prefix: Annotated[
-        str | None, describe_option("NAME", 'the subject: "Jim" of Jim:LFHD', "the one with the most markers")
+        str | None, commands.describe_option("NAME", 'the subject: "Jim" of Jim:LFHD', "the one with the most markers")
     ] = None,
-    overwrite: OverwriteOption = False,
+    overwrite: commands.OverwriteOption = False,
 ) -> int:
     """Learn a marker set from a take, for `clean --marker-set`: the segment and the offset of each marker.
 
@@ -84,7 +76,7 @@ def run_marker_set_learn(
 
     check_outputs_absent([output_path], overwrite)
     with console.show_progress(take.name) as progress:
-        read = parse_options(options).read
+        read = commands.parse_options(options).read
         learned = learn_marker_set(
             take, output_path.stem, like=like, subject_prefix=subject_prefix, options=read, progress=progress
         )
@@ -119,13 +111,13 @@ MARKER_SET_COMMANDS = {"list": run_marker_set_list, "show": run_marker_set_show,
 
 SUBJECT_FILE_SUFFIXES = (".yaml", ".yml")
 
-CALIBRATE_ARGUMENTS = build_options_argument(
+CALIBRATE_ARGUMENTS = commands.build_options_argument(
     ("read", "subject"), without=("subject", "like", "hierarchy"), default_texts={"subject_prefix": "the only subject"}
 )
 
 
 def run_calibrate(
-    takes: TakesArgument,
+    takes: commands.TakesArgument,
     output: Annotated[
         Path, tyro.conf.arg(aliases=["-o"], metavar="SUBJECT.yaml|DIR", help="subject file, or folder for a file for each person")
     ],
@@ -133,9 +125,9 @@ def run_calibrate(
     prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="prior of the mean pose")] = "mean-pose",
     person_memory: Annotated[
         Path | None,
-        describe_option("FILE", "also write how the person moves in these takes, for `clean --person-memory`", "none"),
+        commands.describe_option("FILE", "also write how the person moves in these takes, for `clean --person-memory`", "none"),
     ] = None,
-    overwrite: OverwriteOption = False,
+    overwrite: commands.OverwriteOption = False,
 ) -> int:
     """Calibrate a person's bones and marker positions from takes, for `clean --subject`.
 
@@ -156,7 +148,7 @@ def run_calibrate(
 
     if not takes:
         return console.print_usage_error("calibrate: name at least one take.")
-    parsed, is_file = parse_options(options), output.suffix.lower() in SUBJECT_FILE_SUFFIXES
+    parsed, is_file = commands.parse_options(options), output.suffix.lower() in SUBJECT_FILE_SUFFIXES
     if person_memory and (not is_file or person_memory.resolve() == output.resolve()):
         return console.print_usage_error("calibrate: --person-memory is of one person; give --output another file, NAME.yaml.")
     if is_file:
@@ -199,13 +191,15 @@ def run_calibrate(
 
 
 def run_label(
-    take: TakeArgument,
-    options: Annotated[object, build_options_argument(("read", "subject"), without=("hierarchy", "subject_prefix"))],
+    take: commands.TakeArgument,
+    options: Annotated[object, commands.build_options_argument(("read", "subject"), without=("hierarchy", "subject_prefix"))],
     output_path: Annotated[
         Path | None,
-        describe_option("FILE", "the labelled file", "TAKE.labelled with the suffix of the take", name="output", aliases=["-o"]),
+        commands.describe_option(
+            "FILE", "the labelled file", "TAKE.labelled with the suffix of the take", name="output", aliases=["-o"]
+        ),
     ] = None,
-    overwrite: OverwriteOption = False,
+    overwrite: commands.OverwriteOption = False,
 ) -> int:
     """Label a take whose trajectories have no labels, or whose points are not yet trajectories.
 
@@ -221,7 +215,7 @@ def run_label(
         raise WriteError(f"{take}: would be replaced by its labelled copy; name another file with --output.")
     check_outputs_absent([target], overwrite)
     with console.show_progress(take.name, needs_kernels=True) as progress:
-        labelled = pipeline.label(take, parse_options(options), progress=progress)
+        labelled = pipeline.label(take, commands.parse_options(options), progress=progress)
     assert labelled.labelled_file is not None
     with replace_atomically(target) as part:
         part.write_bytes(labelled.labelled_file)

@@ -14,13 +14,7 @@ Swaps have to be undone first, since both labels of a swap look like ghosts.
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels.label_evidence import (
-    CONTRADICTION_S_PER_LEAP,
-    MAX_SMOOTH_LEAP,
-    SMOOTH_CHANGE_COST,
-    compute_own_contradictions,
-    compute_own_leaps,
-)
+from mocapfix.kernels import label_evidence
 from mocapfix.model.faults import Fault
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import MarkerDistances, build_trajectories, estimate_distances
@@ -49,8 +43,8 @@ def detect_ghosts(take: Take) -> list[Fault]:
         return []
     trajectories = build_trajectories(take.markers, take.rate)
     distances = estimate_distances(take.markers, GHOST_CORRECT_FRACTION)
-    leaps = compute_own_leaps(trajectories)
-    contradiction = compute_own_contradictions(trajectories.markers, distances, ELSEWHERE_CONTRADICTION)
+    leaps = label_evidence.compute_own_leaps(trajectories)
+    contradiction = label_evidence.compute_own_contradictions(trajectories.markers, distances, ELSEWHERE_CONTRADICTION)
     ghosts: list[Fault] = []
     for m in range(len(take.labels)):
         visible = np.flatnonzero(take.visible[:, m])
@@ -88,10 +82,10 @@ def _compute_ghost_costs(
 ) -> tuple[Float[np.ndarray, "N 2 2"], Float[np.ndarray, "N 2"]]:
     """Return the costs, in leaps, of the step into each state of the visible samples, and of the state itself."""
     step_cost = np.broadcast_to(leaps[:, None, None], (len(leaps), 2, 2)).copy()
-    is_smooth = is_consecutive & (leaps < MAX_SMOOTH_LEAP)
-    step_cost[:, [0, 1], [1, 0]] = (GHOST_CHANGE_COST + SMOOTH_CHANGE_COST * is_smooth)[:, None]
+    is_smooth = is_consecutive & (leaps < label_evidence.MAX_SMOOTH_LEAP)
+    step_cost[:, [0, 1], [1, 0]] = (GHOST_CHANGE_COST + label_evidence.SMOOTH_CHANGE_COST * is_smooth)[:, None]
     elsewhere = np.full(len(contradiction), ELSEWHERE_CONTRADICTION)
-    return step_cost, np.stack([contradiction, elsewhere], 1) / (CONTRADICTION_S_PER_LEAP * rate)
+    return step_cost, np.stack([contradiction, elsewhere], 1) / (label_evidence.CONTRADICTION_S_PER_LEAP * rate)
 
 
 def _measure_displacement(

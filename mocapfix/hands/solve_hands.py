@@ -38,15 +38,7 @@ from mocapfix.model.motion import Motion, PoseUncertainty, resample_motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
-from mocapfix.solve import smoothing
-from mocapfix.solve.hybrik import (
-    BonePoint,
-    HybrikVariant,
-    pack_bones,
-    pack_root_points,
-    register_root,
-    solve_hybrik_tree,
-)
+from mocapfix.solve import hybrik, smoothing
 from mocapfix.solve.kinematics import Poses, compute_world_poses, predict_markers
 from mocapfix.solve.minimise import compute_uncertainty
 from mocapfix.solve.parallel import map_in_threads
@@ -353,7 +345,7 @@ def _select(poses: Poses, frames: Int[np.ndarray, " N"]) -> Poses:
 
 
 def pose_in_closed_form(
-    hand: CalibratedHand, points: Float[np.ndarray, "T K 3"], palm: PalmPath, variant: HybrikVariant = "adaptive"
+    hand: CalibratedHand, points: Float[np.ndarray, "T K 3"], palm: PalmPath, variant: hybrik.HybrikVariant = "adaptive"
 ) -> Poses:
     """Return the poses of frames that are independent of each other; joints without points beyond them have the mean pose.
 
@@ -371,29 +363,29 @@ def pose_in_closed_form(
     count, mean = len(skeleton.names), skeleton.rest_rotations.copy()
     mean[HAND_JOINTS] = mean[HAND_JOINTS] @ compute_rotations(hand.model.prior.mean_vectors[HAND_JOINTS])
     carriers = hand.markers.turning_joints
-    of_bones: list[list[BonePoint]] = [[] for _ in skeleton.names]
+    of_bones: list[list[hybrik.BonePoint]] = [[] for _ in skeleton.names]
     for k, (joint, offset) in enumerate(zip(joints.tolist(), offsets, strict=True)):
         place = offset
         while joint != carriers[k]:  # up to the palm across the root of a ray
             place, joint = skeleton.offsets[joint] + mean[joint] @ place, skeleton.parents[joint]
-        of_bones[joint].append(BonePoint(count + k, place, True, 0.0))
+        of_bones[joint].append(hybrik.BonePoint(count + k, place, True, 0.0))
     root_points, of_bones[0] = of_bones[0], []
     for joint in HAND_JOINTS[np.isin(HAND_JOINTS, skeleton.parents)]:
         child = joint + 1  # a hinge
         for point in [each for each in of_bones[child] if each.is_child]:
             variance = (hand.model.prior.axis_sd_rad[child, 1] * np.linalg.norm(point.rest_position)) ** 2
             place = skeleton.offsets[child] + mean[child] @ point.rest_position
-            of_bones[joint].append(BonePoint(point.point_index, place, False, float(variance)))
+            of_bones[joint].append(hybrik.BonePoint(point.point_index, place, False, float(variance)))
     root, rest = hand.place_palm(palm)
     axes = root[:, None] + PALM_LEVER_M * rest[:, 0].swapaxes(-1, -2)
-    root_points += [BonePoint(count + len(joints) + axis, PALM_LEVER_M * np.eye(3)[axis], False, 0.0) for axis in range(3)]
+    root_points += [hybrik.BonePoint(count + len(joints) + axis, PALM_LEVER_M * np.eye(3)[axis], False, 0.0) for axis in range(3)]
     every, is_centre = np.full((len(points), count, 3), np.nan), joints != carriers
     every[:, joints[is_centre]] = points[:, is_centre]
     every = np.concatenate([every, points, axes], axis=1)
     variance = np.ones(every.shape[:2])
     variance[:, count:-3] = hand.marker_sd_m**2
     variance[:, -3:] = (palm.sd_m**2 + (PALM_LEVER_M * palm.sd_rad) ** 2)[:, None]
-    root, rotation, _ = register_root(pack_root_points(root_points), every, variance, True)
+    root, rotation, _ = hybrik.register_root(hybrik.pack_root_points(root_points), every, variance, True)
     local = np.tile(mean, (len(points), 1, 1, 1))
     local[:, 0] = rotation
     twists = np.zeros((len(points), count, 2))
@@ -402,8 +394,8 @@ def pose_in_closed_form(
     place = root + (local[:, 0] @ skeleton.offsets[RAY_ROOTS[0]])
     aim = ((every[:, thumb + 1] - place)[:, None] @ local[:, 0] @ mean[RAY_ROOTS[0]])[:, 0]
     twists[:, thumb] = predict_saddle_twist(hand.model, aim)
-    bones = pack_bones(skeleton, of_bones, np.zeros(count, bool), np.full(count, -1))
-    solve_hybrik_tree(bones, (every, variance, twists), (root, local), variant)
+    bones = hybrik.pack_bones(skeleton, of_bones, np.zeros(count, bool), np.full(count, -1))
+    hybrik.solve_hybrik_tree(bones, (every, variance, twists), (root, local), variant)
     return root, local
 
 

@@ -19,17 +19,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import ReadError, WriteError, format_name_list
+from mocapfix.io import file_content
 from mocapfix.io.conventions import infer_conventions
-from mocapfix.io.file_content import (
-    BYTE_ORDER_MARK,
-    MAX_QUOTED_CHARACTERS,
-    TextTokens,
-    convert_to_utf_8,
-    decode_text,
-    parse_number,
-    read_file_bytes,
-    scan_tokens,
-)
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import FileFrames, choose_rate, count_frame_steps, describe_missing_frames
 from mocapfix.io.shipped import read_shipped_yaml
@@ -104,7 +95,7 @@ class _AsfParser:
         self.root_angles, self.root_axis_order = ["0", "0", "0"], "XYZ"
 
     def parse(self, text: str) -> AsfSkeleton:
-        for self.line_number, line in enumerate(text.removeprefix(BYTE_ORDER_MARK).splitlines(), start=1):
+        for self.line_number, line in enumerate(text.removeprefix(file_content.BYTE_ORDER_MARK).splitlines(), start=1):
             keyword, *words = line.split("#")[0].split() or [""]
             if keyword.startswith(":"):
                 self.section, keyword = keyword.lower(), ""
@@ -189,7 +180,7 @@ class _AsfParser:
 
     def parse_numbers(self, words: list[str], count: int) -> list[float]:
         try:
-            numbers = [parse_number(word) for word in words]
+            numbers = [file_content.parse_number(word) for word in words]
         except ValueError:
             numbers = []
         if len(numbers) != count or not np.isfinite(numbers).all():
@@ -225,7 +216,7 @@ def is_asf_or_amc(head: bytes) -> bool:
 
 def read_amc_motion(path: Path, data: bytes, options: ReadOptions) -> Animation:
     """Return the motion in the bytes of an AMC, as `read_amc` does, and raise ReadError for an ASF, which has none."""
-    if BONE_SECTION_KEYWORD in convert_to_utf_8(path, data).lower():
+    if BONE_SECTION_KEYWORD in file_content.convert_to_utf_8(path, data).lower():
         raise ReadError(f"{path}: is a skeleton without motion; name the AMC file of the motion.")
     return read_amc(path, data, options=options)
 
@@ -246,19 +237,19 @@ def read_amc(
         ReadError: If there is no skeleton, or a file is invalid. The message names file and line.
     """
     path = Path(path)
-    data = convert_to_utf_8(path, read_file_bytes(path) if data is None else data)
+    data = file_content.convert_to_utf_8(path, file_content.read_file_bytes(path) if data is None else data)
     if BONE_SECTION_KEYWORD in data.lower():
-        skeleton = parse_asf(path, decode_text(data)[0])
+        skeleton = parse_asf(path, file_content.decode_text(data)[0])
         width = sum(len(bone.degrees_of_freedom) for bone in skeleton.bones)
         notes = ("It is a skeleton without motion, in its rest pose.",)
         rest = _build_animation(path, skeleton, np.zeros((1, width)), DEFAULT_AMC_RATE_HZ, notes, 1)
         return infer_conventions(rest, options)
     skeleton_path = Path(asf_path) if asf_path is not None else find_asf(path)
-    skeleton = parse_asf(skeleton_path, decode_text(read_file_bytes(skeleton_path))[0])
+    skeleton = parse_asf(skeleton_path, file_content.decode_text(file_content.read_file_bytes(skeleton_path))[0])
     start = FIRST_FRAME_PATTERN.search(data)
     if not start:
         raise ReadError(f"{path}: has no frames; an AMC has a line with the number of each frame. Export it again.")
-    header, tokens = data[: start.start()], scan_tokens(data, start.start())
+    header, tokens = data[: start.start()], file_content.scan_tokens(data, start.start())
     frame_numbers, value_tokens = _locate_values(path, tokens, skeleton)
     rate, rate_notes = _find_rate(path, header, options)
     notes = [f"Its skeleton is {skeleton_path.name}.", *rate_notes]
@@ -329,7 +320,7 @@ def _build_animation(
 
 
 def _locate_values(
-    path: Path, tokens: TextTokens, skeleton: AsfSkeleton
+    path: Path, tokens: file_content.TextTokens, skeleton: AsfSkeleton
 ) -> tuple[Float[np.ndarray, " T"], Int[np.ndarray, "T C"]]:
     """Return the number of each frame, and the token of each channel's value in it.
 
@@ -346,7 +337,7 @@ def _locate_values(
     is_invalid_frame_line = ~is_bone_line & ((token_counts != 1) | ~is_frame_number)
     if is_stray.any() or is_invalid_frame_line.any():
         token = int(np.argmax(is_stray) if is_stray.any() else line_tokens[np.argmax(is_invalid_frame_line)])
-        quoted = repr(tokens.get_text(token)[:MAX_QUOTED_CHARACTERS])
+        quoted = repr(tokens.get_text(token)[: file_content.MAX_QUOTED_CHARACTERS])
         problem = f"{quoted} is given where the values of a bone or the number of a frame are expected"
         raise ReadError(f"{path}, line {tokens.line_numbers[token]}: {problem}.")
     frame_of_line = np.cumsum(~is_bone_line)
@@ -356,7 +347,9 @@ def _locate_values(
         name = tokens.get_text(int(line_tokens[line]))
         if name not in names:
             line_number = tokens.line_numbers[line_tokens[line]]
-            raise ReadError(f"{path}, line {line_number}: bone {name[:MAX_QUOTED_CHARACTERS]} is not in the skeleton.")
+            raise ReadError(
+                f"{path}, line {line_number}: bone {name[: file_content.MAX_QUOTED_CHARACTERS]} is not in the skeleton."
+            )
         bone_of_line[line] = names.index(name)
     columns: list[np.ndarray] = []
     frame_tokens = line_tokens[~is_bone_line]  # the frame numbers
@@ -378,7 +371,7 @@ def _locate_values(
     return tokens.values[line_tokens[~is_bone_line]], np.hstack(columns)
 
 
-def _match_names(tokens: TextTokens, line_tokens: Int[np.ndarray, " L"], names: list[str]) -> Int[np.ndarray, " L"]:
+def _match_names(tokens: file_content.TextTokens, line_tokens: Int[np.ndarray, " L"], names: list[str]) -> Int[np.ndarray, " L"]:
     """Return the index of the name that the first token of each line is, -1 if it is none."""
     encoded_names = [name.encode() for name in names]
     text = np.frombuffer(tokens.data, np.uint8)

@@ -18,16 +18,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError, WriteError, format_name_list
+from mocapfix.io import file_content
 from mocapfix.io.conventions import infer_conventions
-from mocapfix.io.file_content import (
-    COMMENT_LINE_PATTERN,
-    MAX_QUOTED_CHARACTERS,
-    TextTokens,
-    convert_to_utf_8,
-    parse_number,
-    read_file_bytes,
-    scan_tokens,
-)
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, MAX_RATE_ROUNDING, choose_rate, read_frame_time
 from mocapfix.io.source_file import format_rows
@@ -59,7 +51,7 @@ def _split_items(text: bytes) -> Iterator[tuple[int, str]]:
     except UnicodeDecodeError:
         lines = text.decode("latin-1").splitlines()
     for line_number, line in enumerate(lines, start=1):
-        if COMMENT_LINE_PATTERN.match(line):
+        if file_content.COMMENT_LINE_PATTERN.match(line):
             continue
         yield from ((line_number, item.strip()) for item in ITEM_PATTERN.split(line) if item and item.strip())
 
@@ -116,7 +108,7 @@ class _HierarchyParser:
             case "CHANNELS":
                 self.set_channels(line_number, rest)
             case _:
-                quoted = repr(item[:MAX_QUOTED_CHARACTERS])
+                quoted = repr(item[: file_content.MAX_QUOTED_CHARACTERS])
                 self.raise_error(line_number, f"{quoted} is not one of ROOT, JOINT, End Site, OFFSET, CHANNELS")
 
     def add_joint(self, line_number: int, keyword: str, name: str) -> None:
@@ -132,7 +124,7 @@ class _HierarchyParser:
         """Set the offset of the open joint, or add an end site to its parent."""
         joint = self.joints[self.open_joints[-1]] if self.open_joints and self.open_joints[-1] is not None else None
         try:
-            vector = [parse_number(word) for word in rest.split()]
+            vector = [file_content.parse_number(word) for word in rest.split()]
         except ValueError:
             self.raise_error(line_number, f"OFFSET {rest} is not three numbers")
         if len(vector) != 3 or not np.isfinite(vector).all():
@@ -202,7 +194,7 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
         options: What is known about the file.
     """
     path = Path(path)
-    data = convert_to_utf_8(path, read_file_bytes(path) if data is None else data)
+    data = file_content.convert_to_utf_8(path, file_content.read_file_bytes(path) if data is None else data)
     match = MOTION_PATTERN.search(data)
     if not match:
         problem = "has no line MOTION after its hierarchy: it is not a BVH, or it was cut off"
@@ -210,7 +202,7 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
     joints = _HierarchyParser(path).parse(_split_items(data[: match.start()].removeprefix(b"\xef\xbb\xbf")))
     timing = _parse_timing(path, data, match.end(), options)
     width = sum(len(joint.channels) for joint in joints)
-    tokens = scan_tokens(data, timing.stop_byte)
+    tokens = file_content.scan_tokens(data, timing.stop_byte)
     frame_count = _count_frames(path, tokens, width)
     notes = list(timing.notes)
     if timing.declared_frame_count != frame_count:
@@ -247,12 +239,12 @@ def _parse_timing(path: Path, data: bytes, start: int, options: ReadOptions) -> 
     else:
         problem = f"a frame time of {time_text} s gives no possible rate (5 to 2000 Hz)"
         raise ReadError(f"{path}, line {line_number + 1}: {problem}; give the frames per second with --rate HZ.")
-    frame_time = parse_number(time_text)
+    frame_time = file_content.parse_number(time_text)
     is_right = abs(frame_time * rate - 1) < (MAX_RATE_ROUNDING if options.rate_hz is None else MAX_RATE_CONTRADICTION)
     return _Timing(declared, rate, time.end(), notes, None if is_right else time.span(1))
 
 
-def _count_frames(path: Path, tokens: TextTokens, width: int) -> int:
+def _count_frames(path: Path, tokens: file_content.TextTokens, width: int) -> int:
     """Return the number of frames of `width` values. A frame may take several lines, but begins on its own line.
 
     Raises:
@@ -260,7 +252,7 @@ def _count_frames(path: Path, tokens: TextTokens, width: int) -> int:
     """
     if not tokens.is_number.all():
         invalid = int(np.argmin(tokens.is_number))
-        quoted = repr(tokens.get_text(invalid)[:MAX_QUOTED_CHARACTERS])
+        quoted = repr(tokens.get_text(invalid)[: file_content.MAX_QUOTED_CHARACTERS])
         raise ReadError(f"{path}, line {tokens.line_numbers[invalid]}: {quoted} is not a number.")
     if width == 0 or not len(tokens):
         raise ReadError(f"{path}: has no motion: {width} channels and {len(tokens)} numbers after the frame time.")

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError, WriteError
+from mocapfix.io import points
 from mocapfix.io.c3d_blocks import locate_samples
 from mocapfix.io.c3d_parameters import (
     FLOAT_TYPE,
@@ -33,15 +34,6 @@ from mocapfix.io.conventions import DeclaredConvention, decide_convention
 from mocapfix.io.coordinates import METRES_PER_UNIT, ROTATIONS_TO_Y_UP, find_valid_points, get_metres_per_unit, inspect_points
 from mocapfix.io.files import replace_atomically
 from mocapfix.io.frame_rate import MAX_RATE_CONTRADICTION, choose_rate
-from mocapfix.io.points import (
-    DeclaredPoints,
-    add_other_points,
-    check_point_types,
-    classify_points,
-    detect_computed_samples,
-    detect_uncaptured_samples,
-    find_computed_markers,
-)
 from mocapfix.io.source_file import FileFrame, get_file_frame
 from mocapfix.model.take import C3D_BLOCK_BYTES, INTEL_PROCESSOR, MAX_C3D_WORD, MAX_RESIDUAL_COUNTS, C3dLayout, Take
 from mocapfix.options import ReadOptions
@@ -75,9 +67,9 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
     rate, rate_notes = choose_rate(lambda sentence: ReadError(f"{path}: POINT:RATE: {sentence}"), stated_rate, options)
     visible, residual_words = _find_valid_samples(layout, data)
     labels = [*parameters.labels[: layout.point_count], *[""] * (layout.point_count - len(parameters.labels))]
-    stated = DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
-    types = classify_points(stated, visible, residual_words)
-    check_point_types(path, types)
+    stated = points.DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
+    types = points.classify_points(stated, visible, residual_words)
+    points.check_point_types(path, types)
     inspected = inspect_points(types, layout.frame_count, rate, partial(_convert_to_metres, layout, data, visible))
     # The sign of Y_SCREEN is no evidence: it gives the viewer's side, and Qualisys writes -Z on Z-up data.
     screen_axis = parameters.screen_axis[-1:] if parameters.screen_axis[-1:] in ROTATIONS_TO_Y_UP else ""
@@ -85,7 +77,7 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
     convention = decide_convention(path, inspected, declared, options)
     layout = replace(layout, unit_m=convention.unit_m, rotation_y_up_file=convention.rotation_y_up_file)
     convert = partial(_convert_to_metres, layout, data, visible)
-    functions = find_computed_markers(types, visible, convert)
+    functions = points.find_computed_markers(types, visible, convert)
     columns = np.setdiff1d(types.markers, list(functions))
     take = Take(
         convert(columns),
@@ -95,13 +87,13 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
         path,
         layout=layout,
         point_columns=columns,
-        computed=detect_computed_samples(residual_words[:, columns], visible[:, columns]),
-        uncaptured=detect_uncaptured_samples(residual_words[:, columns], visible[:, columns]),
+        computed=points.detect_computed_samples(residual_words[:, columns], visible[:, columns]),
+        uncaptured=points.detect_uncaptured_samples(residual_words[:, columns], visible[:, columns]),
         subject_names=parameters.subject_names,
         up_axis=convention.up_axis,
         notes=(*notes, *(() if options.rate_hz else stated_notes), *rate_notes, *convention.notes),
     )
-    return add_other_points(take, types, functions, convert)
+    return points.add_other_points(take, types, functions, convert)
 
 
 def read_fill_sd(take: Take) -> Float[np.ndarray, "T M"]:

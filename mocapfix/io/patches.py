@@ -15,20 +15,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.errors import REPORT_REQUEST, WriteError
+from mocapfix.io import source_file
 from mocapfix.io.c3d_blocks import locate_samples
 from mocapfix.io.c3d_parameters import C3dHead, read_c3d_parameters
 from mocapfix.io.coordinates import find_valid_points
 from mocapfix.io.file_content import convert_to_utf_8, has_decimal_commas, restore_encoding
 from mocapfix.io.files import replace_atomically
-from mocapfix.io.source_file import (
-    MAX_STORED_COORDINATE,
-    MAX_WRITTEN_DECIMALS,
-    build_truncated_error,
-    find_assigned_points,
-    find_changed_samples,
-    find_relabelled_samples,
-    open_source,
-)
 from mocapfix.kernels.text_numbers import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, count_decimals, splice_numbers
 from mocapfix.model.animation import Animation
 from mocapfix.model.take import C3D_BLOCK_BYTES, MAX_RESIDUAL_COUNTS, C3dLayout, TableLayout, Take
@@ -59,7 +51,7 @@ def check_c3d_copy(target: Path, copy: Path, before: Take, after: Take, unstorab
     layout = before.layout
     assert isinstance(layout, C3dLayout)
     refuse, bits = _build_refusal(target), f"u{layout.word_size_bytes}"
-    with open_source(target, before.path, before.labelled_file) as old, copy.open("rb") as new:
+    with source_file.open_source(target, before.path, before.labelled_file) as old, copy.open("rb") as new:
         if old.read(layout.data_start_byte) != new.read(layout.data_start_byte):
             raise refuse("its header or parameters")
         for first, part, own_before, own_after in _iterate_blocks(layout, before, after):
@@ -76,7 +68,7 @@ def check_c3d_copy(target: Path, copy: Path, before: Take, after: Take, unstorab
             for word in range(4):
                 differs |= old_words[..., word].view(bits) != new_words[..., word].view(bits)
             differs[samples.frames, before.point_columns[samples.markers]] = False
-            assigned = find_assigned_points(own_before, own_after)
+            assigned = source_file.find_assigned_points(own_before, own_after)
             differs[assigned] = False
             if differs.any():
                 frame, point = np.argwhere(differs)[0]
@@ -110,9 +102,9 @@ class _ChangedSamples:
     """
 
     def __init__(self, before: Take, after: Take, unstorable: Unstorable) -> None:
-        relabelled = find_relabelled_samples(before, after)
+        relabelled = source_file.find_relabelled_samples(before, after)
         self.before, self.after = before, after
-        self.frames, self.markers = np.nonzero(find_changed_samples(before, after) | relabelled)
+        self.frames, self.markers = np.nonzero(source_file.find_changed_samples(before, after) | relabelled)
         self.is_relabelled = relabelled[self.frames, self.markers]
         self.source_points = after.source_points[self.frames, self.markers]
         lost = np.array(list(unstorable), int).reshape(-1, 2)
@@ -152,7 +144,7 @@ def check_table_copy(target: Path, copy: Path, before: Take, after: Take, unstor
     """Compare a patched text table with the file of `before`, cell by cell. Arguments and errors as in `check_c3d_copy`."""
     layout, samples, refuse = before.layout, _ChangedSamples(before, after, unstorable), _build_refusal(target)
     assert isinstance(layout, TableLayout)
-    with open_source(target, before.path, before.labelled_file) as source:
+    with source_file.open_source(target, before.path, before.labelled_file) as source:
         # Bytes as characters are Latin-1, which has a character for each.
         is_wide = layout.encoding.lower().replace("_", "-").startswith(("utf-16", "utf-32"))
         texts = (data.decode(layout.encoding if is_wide else "latin-1") for data in (source.read(), copy.read_bytes()))
@@ -160,7 +152,7 @@ def check_table_copy(target: Path, copy: Path, before: Take, after: Take, unstor
     if len(old) != len(new):
         raise refuse("its number of lines")
     columns = before.point_columns[samples.markers]
-    assigned_frames, assigned_points = find_assigned_points(before, after)
+    assigned_frames, assigned_points = source_file.find_assigned_points(before, after)
     frames, points = np.concatenate([samples.frames, assigned_frames]), np.concatenate([columns, assigned_points])
     may_change: dict[int, set[int]] = defaultdict(set)
     for line, fields in zip(layout.line_indices[frames].tolist(), layout.field_indices[points].tolist(), strict=True):
@@ -321,11 +313,11 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     target = Path(target)
     if (starts := source.value_byte_offsets) is None:
         raise WriteError(f"{source.name}: there is no file with these numbers, so it cannot be patched.")
-    with open_source(target, source.path) as file:
+    with source_file.open_source(target, source.path) as file:
         original = file.read()
     data, first_byte = convert_to_utf_8(target, original), int(starts[starts >= 0].min(initial=len(original)))
     if len(data) <= starts.max(initial=-1):
-        raise build_truncated_error(source.path)
+        raise source_file.build_truncated_error(source.path)
     has_commas = has_decimal_commas(data, first_byte)
     if has_commas:
         data = data[:first_byte] + data[first_byte:].replace(b",", b".")
@@ -338,7 +330,7 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     order = np.argsort(offsets)
     text = np.frombuffer(data, np.uint8)
     counts = np.bincount(count_decimals(text, starts[starts >= 0]))
-    decimals = min(int(counts[1:].argmax()) + 1, MAX_WRITTEN_DECIMALS) if counts[1:].any() else DEFAULT_DECIMALS
+    decimals = min(int(counts[1:].argmax()) + 1, source_file.MAX_WRITTEN_DECIMALS) if counts[1:].any() else DEFAULT_DECIMALS
     power = 10.0**decimals
     if not (np.abs(numbers) * power < MAX_EXACT_PRODUCT).all():
         frame, column = np.argwhere(is_changed & ~(np.abs(values) * power < MAX_EXACT_PRODUCT))[0]
@@ -381,13 +373,13 @@ def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, 
     if not isinstance(layout, C3dLayout):
         raise WriteError(f"{before.name}: was not read from a C3D file, so there is no file to patch.")
     lost: list[tuple[int, int]] = []
-    with open_source(target, before.path, before.labelled_file) as old, replace_atomically(target) as part:
+    with source_file.open_source(target, before.path, before.labelled_file) as old, replace_atomically(target) as part:
         with part.open("wb") as new:
             new.write(old.read(layout.data_start_byte))
             for first, part_layout, old_frames, new_frames in _iterate_blocks(layout, before, after):
                 data = bytearray(old.read(part_layout.frame_count * layout.frame_stride_bytes))
                 if len(data) < part_layout.frame_count * layout.frame_stride_bytes:
-                    raise build_truncated_error(before.path)
+                    raise source_file.build_truncated_error(before.path)
                 lost += [(first + t, m) for t, m in _patch_block(part_layout, old_frames, new_frames, data)]
                 new.write(data)
             new.write(old.read())
@@ -397,14 +389,14 @@ def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, 
 
 def _patch_block(layout: C3dLayout, before: Take, after: Take, data: bytearray) -> list[tuple[int, int]]:
     """Change the samples in the bytes of some frames. Returns frame, counted from their first, and marker of lost samples."""
-    words, relabelled = layout.view_words(data), find_relabelled_samples(before, after)
-    frames, markers = np.nonzero(find_changed_samples(before, after) & ~relabelled)
+    words, relabelled = layout.view_words(data), source_file.find_relabelled_samples(before, after)
+    frames, markers = np.nonzero(source_file.find_changed_samples(before, after) & ~relabelled)
     samples, is_stored = _build_samples(layout, after, frames, markers)
     relabelled_frames, relabelled_markers = np.nonzero(relabelled)
     relabelled_words = words[relabelled_frames, after.source_points[relabelled]]  # a copy, made before any word is replaced
     words[frames, before.point_columns[markers]] = encode_samples(layout, samples)
     words[relabelled_frames, before.point_columns[relabelled_markers]] = relabelled_words
-    assigned = find_assigned_points(before, after)
+    assigned = source_file.find_assigned_points(before, after)
     words[assigned] = encode_samples(layout, np.tile(MISSING_SAMPLE, (len(assigned[0]), 1)))
     is_lost = ~is_stored & ~np.isnan(after.markers[frames, markers]).any(-1)
     return [(int(t), int(m)) for t, m in zip(frames[is_lost], markers[is_lost], strict=True)]
@@ -416,7 +408,7 @@ def _build_samples(
     """Return coordinates and residual to store, and whether the position can be stored."""
     xyz = after.markers[frames, markers] @ layout.rotation_y_up_file / layout.unit_m
     counts = xyz.astype(np.float32) if layout.is_float else np.rint(xyz / layout.scale_factor)
-    largest = MAX_STORED_COORDINATE if layout.is_float else MAX_INT16_COUNT
+    largest = source_file.MAX_STORED_COORDINATE if layout.is_float else MAX_INT16_COUNT
     # A sample with all coordinates 0 would read as missing.
     is_stored = np.all(np.abs(counts) <= largest, axis=-1) & np.any(counts != 0, axis=-1)
     residual = np.nan_to_num(np.rint(after.estimated_sd[frames, markers] / layout.unit_m / layout.scale_factor), nan=1.0)
@@ -454,10 +446,10 @@ def patch_table(target: str | Path, before: Take, after: Take) -> list[tuple[int
     layout, target = before.layout, Path(target)
     if not isinstance(layout, TableLayout) or not layout.has_field_per_sample:
         raise WriteError(f"{before.name}: does not have a field for every sample, so it cannot be patched.")
-    with open_source(target, before.path, before.labelled_file) as file:
+    with source_file.open_source(target, before.path, before.labelled_file) as file:
         lines = file.read().decode(layout.encoding, "replace").split(layout.newline)
     if len(lines) <= layout.line_indices.max():
-        raise build_truncated_error(before.path)
+        raise source_file.build_truncated_error(before.path)
     edits, lost = _build_edits(layout, lines, before, after)
     for index, fields in edits.items():
         lines[index] = _replace_fields(lines[index], layout.delimiter, fields)
@@ -478,10 +470,10 @@ def _build_edits(layout: TableLayout, lines: list[str], before: Take, after: Tak
                 edits[line_indices[frame]].update(zip(field_indices[point], xyz_texts, strict=True))
 
     missing = [layout.format_coordinate(np.nan)] * 3
-    assigned_frames, assigned_points = find_assigned_points(before, after)
+    assigned_frames, assigned_points = source_file.find_assigned_points(before, after)
     add(assigned_frames, assigned_points, [missing] * len(assigned_frames))
-    relabelled = find_relabelled_samples(before, after)
-    frames, markers = np.nonzero(find_changed_samples(before, after) & ~relabelled)
+    relabelled = source_file.find_relabelled_samples(before, after)
+    frames, markers = np.nonzero(source_file.find_changed_samples(before, after) & ~relabelled)
     xyz = after.markers[frames, markers] @ layout.rotation_y_up_file / layout.unit_m
     texts = [[layout.format_coordinate(coordinate) for coordinate in sample] for sample in xyz.tolist()]
     is_lost = after.visible[frames, markers] & ~_is_storable(layout, xyz)
@@ -500,7 +492,7 @@ def _is_storable(layout: TableLayout, xyz: Float[np.ndarray, "n 3"]) -> Bool[np.
     """Return which coordinates in file units still read as a position after they are rounded."""
     rounded = np.array([[float(format(each, layout.number_format)) for each in sample] for sample in xyz.tolist()])
     rounded = rounded.reshape(-1, 3)
-    return (rounded != 0).any(-1) & (np.abs(rounded) <= MAX_STORED_COORDINATE).all(-1)
+    return (rounded != 0).any(-1) & (np.abs(rounded) <= source_file.MAX_STORED_COORDINATE).all(-1)
 
 
 def _replace_fields(line: str, delimiter: str, fields: dict[int, str]) -> str:

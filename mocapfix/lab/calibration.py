@@ -18,16 +18,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from mocapfix import synthetic
 from mocapfix.errors import ReadError
-from mocapfix.lab.sound_takes import (
-    SOUND_TAKE_DURATION_S,
-    SOUND_TAKE_RATE_HZ,
-    PerformedMotion,
-    build_known_motion,
-    read_performed_motions,
-    resample_performance,
-    solve_motion,
-)
+from mocapfix.lab import sound_takes
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.model.subject import Subject
@@ -37,16 +30,6 @@ from mocapfix.solve import initial_motion, kinematics
 from mocapfix.solve.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.subject.calibration import CalibrationFrames, fit_calibration, scale_average_subject
 from mocapfix.subject.library import load_marker_set
-from mocapfix.synthetic import (
-    DAMAGED_ARM_JOINTS,
-    SyntheticTake,
-    compose_motion,
-    compose_take,
-    draw_gaps,
-    draw_subject,
-    simulate_markers,
-    write_synthetic_take,
-)
 
 if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
@@ -74,7 +57,7 @@ def measure_calibration(
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
     rows: list[CalibrationRow] = []
     for seed in seeds:
-        truth = compose_take(seed, duration_s, CALIBRATION_RATE_HZ, asymmetric=True)
+        truth = synthetic.compose_take(seed, duration_s, CALIBRATION_RATE_HZ, asymmetric=True)
         markers = np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions)
         take = Take(markers, truth.labels, CALIBRATION_RATE_HZ)
         average = scale_average_subject(take, marker_set)
@@ -91,7 +74,7 @@ def measure_calibration(
 
 
 def compute_calibration_errors(
-    truth: SyntheticTake, take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior
+    truth: synthetic.SyntheticTake, take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior
 ) -> dict[str, float]:
     """Return the mean errors of a subject in mm: bones, marker offsets, and joints of the poses solved with it."""
     offset_error = np.linalg.norm(subject.marker_offsets - truth.subject.marker_offsets, axis=1).mean()
@@ -102,12 +85,12 @@ def compute_calibration_errors(
 
 
 def compute_mean_joint_errors(
-    truth: SyntheticTake, take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior
+    truth: synthetic.SyntheticTake, take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior
 ) -> Float[np.ndarray, " J"]:
     """Return the mean error of each joint in metres of the poses solved with a subject."""
     start = initial_motion.initialise_motion(take, subject, body, prior)
     limits = load_joint_limits(body.skeleton)
-    motion = solve_motion(take, subject, body, prior, limits, start, SolveOptions())
+    motion = sound_takes.solve_motion(take, subject, body, prior, limits, start, SolveOptions())
     joint_positions, _ = kinematics.compute_world_poses(subject.skeleton, motion)
     return np.linalg.norm(joint_positions - truth.joint_positions, axis=2).mean(0)
 
@@ -134,11 +117,11 @@ class SessionPerson(NamedTuple):
 
     name: str
     subject: Subject
-    takes: tuple[SyntheticTake, ...]
+    takes: tuple[synthetic.SyntheticTake, ...]
 
 
 def build_session_people(
-    motion_files: list[Path], people: tuple[str, ...], take_count: int, duration_s: float = SOUND_TAKE_DURATION_S
+    motion_files: list[Path], people: tuple[str, ...], take_count: int, duration_s: float = sound_takes.SOUND_TAKE_DURATION_S
 ) -> list[SessionPerson]:
     """Return people with `take_count` takes each.
 
@@ -151,49 +134,51 @@ def build_session_people(
     """
     if not motion_files:
         return [_compose_person(name, number, take_count, duration_s) for number, name in enumerate(people)]
-    recorded = [each for path in motion_files for each in read_performed_motions(path)]
+    recorded = [each for path in motion_files for each in sound_takes.read_performed_motions(path)]
     recorded = [each for each in recorded if _compute_length_s(each) >= MIN_OWN_RECORDING_S]
     if not recorded:
         raise ReadError(f"{motion_files[0]}: holds no recording of {MIN_OWN_RECORDING_S:g} s or longer.")
-    by_person: dict[str, list[PerformedMotion]] = defaultdict(list)
+    by_person: dict[str, list[sound_takes.PerformedMotion]] = defaultdict(list)
     for each in sorted(recorded, key=lambda each: -_compute_length_s(each)):
         by_person[each.name.split("_")[0]].append(each)
     return [_record_person(name, number, by_person, take_count, duration_s) for number, name in enumerate(people)]
 
 
 def _record_person(
-    name: str, number: int, by_person: dict[str, list[PerformedMotion]], take_count: int, duration_s: float
+    name: str, number: int, by_person: dict[str, list[sound_takes.PerformedMotion]], take_count: int, duration_s: float
 ) -> SessionPerson:
     """Return one person with that person's own recordings, then those of the others in turn."""
     rng = np.random.default_rng(1000 + number)
-    subject = draw_subject(rng, asymmetric=True)
+    subject = synthetic.draw_subject(rng, asymmetric=True)
     others = [each for other, motions in by_person.items() if other != name for each in motions[:2]]
     turn = number * take_count % max(1, len(others))
     chosen = [*by_person.get(name, []), *others[turn:], *others[:turn]][:take_count]
-    motions = [_play_part(each, 0, each.frame_count, duration_s) for each in map(resample_performance, chosen)]
+    motions = [_play_part(each, 0, each.frame_count, duration_s) for each in map(sound_takes.resample_performance, chosen)]
     return SessionPerson(name, subject, tuple(record_take(rng, subject, motion) for motion in motions))
 
 
 def _compose_person(name: str, number: int, take_count: int, duration_s: float) -> SessionPerson:
     """Return one person whose takes are successive parts of the composed motion."""
     rng = np.random.default_rng(1000 + number)
-    subject = draw_subject(rng, asymmetric=True)
-    whole = compose_motion(subject, COMPOSED_SEGMENT_S, SOUND_TAKE_RATE_HZ)
-    length, takes = round(duration_s * SOUND_TAKE_RATE_HZ), list[SyntheticTake]()
+    subject = synthetic.draw_subject(rng, asymmetric=True)
+    whole = synthetic.compose_motion(subject, COMPOSED_SEGMENT_S, sound_takes.SOUND_TAKE_RATE_HZ)
+    length, takes = round(duration_s * sound_takes.SOUND_TAKE_RATE_HZ), list[synthetic.SyntheticTake]()
     for take in range(take_count):
         first = round(take * (whole.frame_count - length) / max(1, take_count - 1)) if length < whole.frame_count else 0
         takes.append(record_take(rng, subject, _play_part(whole, first, min(length, whole.frame_count - first), duration_s)))
     return SessionPerson(name, subject, tuple(takes))
 
 
-def record_take(rng: np.random.Generator, subject: Subject, motion: Motion) -> SyntheticTake:
+def record_take(rng: np.random.Generator, subject: Subject, motion: Motion) -> synthetic.SyntheticTake:
     """Return a take of a motion with the skin's sliding, camera noise and gaps."""
-    joints, markers = simulate_markers(rng, subject, motion, SOUND_TAKE_RATE_HZ)
-    is_arm = np.isin(subject.joints, [subject.skeleton.find_joint(name) for name in DAMAGED_ARM_JOINTS])
-    missing = draw_gaps(rng, motion.frame_count, SOUND_TAKE_RATE_HZ, is_arm)
+    joints, markers = synthetic.simulate_markers(rng, subject, motion, sound_takes.SOUND_TAKE_RATE_HZ)
+    is_arm = np.isin(subject.joints, [subject.skeleton.find_joint(name) for name in synthetic.DAMAGED_ARM_JOINTS])
+    missing = synthetic.draw_gaps(rng, motion.frame_count, sound_takes.SOUND_TAKE_RATE_HZ, is_arm)
     damaged = np.where(missing[..., None], np.nan, markers)
     no_spikes = np.zeros_like(missing)
-    return SyntheticTake(motion, subject, joints, markers, damaged, missing, no_spikes, subject.labels, SOUND_TAKE_RATE_HZ)
+    return synthetic.SyntheticTake(
+        motion, subject, joints, markers, damaged, missing, no_spikes, subject.labels, sound_takes.SOUND_TAKE_RATE_HZ
+    )
 
 
 def move_marker(subject: Subject, rng: np.random.Generator, distance_m: float) -> tuple[Subject, int]:
@@ -207,11 +192,11 @@ def move_marker(subject: Subject, rng: np.random.Generator, distance_m: float) -
 def _play_part(motion: Motion, first: int, frame_count: int, duration_s: float) -> Motion:
     """Return a part of a motion played forwards and backwards until it has the duration."""
     turns = first + np.r_[np.arange(frame_count), np.arange(frame_count - 2, 0, -1)]
-    frames = np.resize(turns, round(duration_s * SOUND_TAKE_RATE_HZ))
-    return build_known_motion(motion.root_position[frames], np.ascontiguousarray(motion.local_rotations[frames]))
+    frames = np.resize(turns, round(duration_s * sound_takes.SOUND_TAKE_RATE_HZ))
+    return sound_takes.build_known_motion(motion.root_position[frames], np.ascontiguousarray(motion.local_rotations[frames]))
 
 
-def _compute_length_s(performance: PerformedMotion) -> float:
+def _compute_length_s(performance: sound_takes.PerformedMotion) -> float:
     return performance.motion.frame_count / performance.rate_hz
 
 
@@ -271,7 +256,7 @@ def measure_sessions(
         with TemporaryDirectory() as folder:
             paths = [Path(folder) / f"take{t}.c3d" for t in range(take_count)]
             for path, take in zip(paths, person.takes, strict=True):
-                write_synthetic_take(path, take)
+                synthetic.write_synthetic_take(path, take)
             begin = process_time()
             surveys = [survey_take(path, take_id=path.stem)[0] for path in paths]
             calibration = calibrate_person(surveys)
@@ -298,7 +283,7 @@ def _average_errors(person: SessionPerson, method: str, results: "list[CleaningR
     return SessionErrors(person.name, method, float(joints), float(bones), float(places), cpu_s)
 
 
-def _compute_errors(truth: SyntheticTake, result: "CleaningResult", person: Subject) -> tuple[float, float, float]:
+def _compute_errors(truth: synthetic.SyntheticTake, result: "CleaningResult", person: Subject) -> tuple[float, float, float]:
     """Return the errors of joints, bone lengths and marker places of one take in metres."""
     assert result.subject is not None
     assert result.joint_position_world is not None
@@ -322,7 +307,7 @@ def _move_and_find(
     changed = list(surveys)
     for t in range(first, len(person.takes)):
         path = folder / f"take{t}.c3d"
-        write_synthetic_take(path, record_take(rng, moved_subject, person.takes[t].motion))
+        synthetic.write_synthetic_take(path, record_take(rng, moved_subject, person.takes[t].motion))
         changed[t] = survey_take(path, take_id=path.stem)[0]
     calibration = calibrate_person(changed)
     label = person.subject.labels[marker]

@@ -21,20 +21,8 @@ from jaxtyping import Bool, Float
 
 from mocapfix.lab.common_task import clean_composed_take
 from mocapfix.lab.sound_takes import SOUND_TAKE_RATE_HZ, iterate_sound_takes, remove_damage
+from mocapfix.model import faults
 from mocapfix.model.changes import compare_samples
-from mocapfix.model.faults import (
-    EXTERNAL_FILL_KINDS,
-    JOINED_RELATIONS,
-    LABEL_KINDS,
-    MISSING_KINDS,
-    REPLACED_SAMPLE_KINDS,
-    Fault,
-    FaultKind,
-    Faults,
-    Fragment,
-    MarkerShift,
-    build_fault_mask,
-)
 from mocapfix.model.stage_timer import ProgressCallback
 from mocapfix.options import CleanOptions, FillOptions, ReadOptions
 from mocapfix.result import CleaningResult
@@ -81,8 +69,8 @@ class DamagedTake:
         positions = sound_truth.marker_positions
         self.markers, self.true_markers, self.labels = positions.copy(), positions.copy(), sound_truth.labels
         self.frame_count, self.marker_count = sound_truth.missing_mask.shape
-        self.injected_faults: list[Fault] = []
-        self.secondary_faults: list[Fault] = []
+        self.injected_faults: list[faults.Fault] = []
+        self.secondary_faults: list[faults.Fault] = []
         self._has_fault = np.zeros(sound_truth.missing_mask.shape, bool)
         sampled = positions[:: max(1, self.frame_count // NEIGHBOUR_FRAME_COUNT)]
         distances = np.linalg.norm(sampled[:, :, None] - sampled[:, None], axis=-1).mean(0)
@@ -126,7 +114,7 @@ class DamagedTake:
         frames = slice(max(0, place.first - margin), place.last + margin + 1)
         return not self._has_fault[frames, markers].any()
 
-    def record_fault(self, fault: Fault, *, is_main: bool = True) -> None:
+    def record_fault(self, fault: faults.Fault, *, is_main: bool = True) -> None:
         """Record a fault; one that is not a main fault need not be found."""
         (self.injected_faults if is_main else self.secondary_faults).append(fault)
         self._has_fault[fault.frame_slice, list(fault.markers)] = True
@@ -135,7 +123,7 @@ class DamagedTake:
         """Remove a marker's samples in the frames first..last."""
         first, last = max(first, 0), min(last, self.frame_count - 1)
         self.markers[first : last + 1, marker] = np.nan
-        self.record_fault(Fault("gap", marker, first, last, np.nan, ""), is_main=is_main)
+        self.record_fault(faults.Fault("gap", marker, first, last, np.nan, ""), is_main=is_main)
 
     def add_trajectory(self, label: str, path: Float[np.ndarray, "T 3"]) -> None:
         """Add a trajectory to the file."""
@@ -178,11 +166,11 @@ def inject_label_exchange(damaged_take: DamagedTake, place: FaultPlace) -> None:
     exchange_labels(damaged_take, cycle, place.first, place.last, "swap")
 
 
-def exchange_labels(damaged_take: DamagedTake, cycle: list[int], first: int, last: int, kind: FaultKind) -> None:
+def exchange_labels(damaged_take: DamagedTake, cycle: list[int], first: int, last: int, kind: faults.FaultKind) -> None:
     """Move the samples of each marker of a cycle to the label of the next one."""
     frames = slice(first, last + 1)
     damaged_take.markers[frames, cycle[1:] + cycle[:1]] = damaged_take.markers[frames, cycle]
-    damaged_take.record_fault(Fault(kind, cycle[0], first, last, np.nan, "", other_markers=tuple(cycle[1:])))
+    damaged_take.record_fault(faults.Fault(kind, cycle[0], first, last, np.nan, "", other_markers=tuple(cycle[1:])))
 
 
 def inject_fragment(damaged_take: DamagedTake, place: FaultPlace) -> None:
@@ -197,7 +185,7 @@ def inject_fragment(damaged_take: DamagedTake, place: FaultPlace) -> None:
     label = FRAGMENT_LABELS[rng.integers(len(FRAGMENT_LABELS))].format(label=damaged_take.labels[marker], n=number)
     damaged_take.add_trajectory(label, path)
     donor = len(damaged_take.labels) - 1
-    fault = Fragment("fragment", marker, place.first, place.last, np.nan, "", donor=donor, relation="continues")
+    fault = faults.Fragment("fragment", marker, place.first, place.last, np.nan, "", donor=donor, relation="continues")
     damaged_take.record_fault(fault)
 
 
@@ -220,7 +208,7 @@ def inject_mirrored_labels(damaged_take: DamagedTake) -> None:
 
 
 def inject_marker_shift(
-    damaged_take: DamagedTake, kind: FaultKind, begin_range: tuple[float, float], duration_range: tuple[float, float]
+    damaged_take: DamagedTake, kind: faults.FaultKind, begin_range: tuple[float, float], duration_range: tuple[float, float]
 ) -> None:
     """Shift a marker permanently on its segment, followed by a gap; begin and duration are fractions of the take."""
     rng, frame_count = damaged_take.rng, damaged_take.frame_count
@@ -237,7 +225,7 @@ def inject_marker_shift(
     damaged_take.markers[:, marker] += shift
     damaged_take.true_markers[:, marker] += shift
     size = float(np.linalg.norm(displacement))
-    damaged_take.record_fault(MarkerShift(kind, marker, first, frame_count - 1, size, "", settled_frame=settled))
+    damaged_take.record_fault(faults.MarkerShift(kind, marker, first, frame_count - 1, size, "", settled_frame=settled))
     length = round(LATER_GAP_S * damaged_take.rate_hz)
     start = int(rng.integers(settled + 1, frame_count - length - 1))
     damaged_take.hide_samples(marker, start, start + length - 1)
@@ -260,13 +248,13 @@ def inject_jitter(damaged_take: DamagedTake, place: FaultPlace) -> None:
 
 
 def displace_samples(
-    damaged_take: DamagedTake, place: FaultPlace, kind: FaultKind, shift: Float[np.ndarray, "3"] | Float[np.ndarray, "N 3"]
+    damaged_take: DamagedTake, place: FaultPlace, kind: faults.FaultKind, shift: Float[np.ndarray, "3"] | Float[np.ndarray, "N 3"]
 ) -> None:
     """Add a shift in metres to a marker's samples."""
     marker = place.markers[0]
     damaged_take.markers[place.frames, marker] += shift
     size = float(np.linalg.norm(shift, axis=-1).max())
-    damaged_take.record_fault(Fault(kind, marker, place.first, place.last, size, ""))
+    damaged_take.record_fault(faults.Fault(kind, marker, place.first, place.last, size, ""))
 
 
 def inject_frozen(damaged_take: DamagedTake, place: FaultPlace) -> None:
@@ -294,12 +282,12 @@ def inject_ghost(damaged_take: DamagedTake, place: FaultPlace) -> None:
     replace_samples(damaged_take, place, "ghost", position + noise)
 
 
-def replace_samples(damaged_take: DamagedTake, place: FaultPlace, kind: FaultKind, path: Float[np.ndarray, "_ 3"]) -> None:
+def replace_samples(damaged_take: DamagedTake, place: FaultPlace, kind: faults.FaultKind, path: Float[np.ndarray, "_ 3"]) -> None:
     """Replace a marker's samples by a path, or by one position."""
     marker, frames = place.markers[0], place.frames
     damaged_take.markers[frames, marker] = path
     distance = np.linalg.norm(damaged_take.markers[frames, marker] - damaged_take.true_markers[frames, marker], axis=-1)
-    damaged_take.record_fault(Fault(kind, marker, place.first, place.last, float(distance.max()), ""))
+    damaged_take.record_fault(faults.Fault(kind, marker, place.first, place.last, float(distance.max()), ""))
 
 
 def inject_often(
@@ -347,7 +335,7 @@ FAULT_INJECTIONS: dict[str, Callable[[DamagedTake], None]] = {
 }
 
 
-REPLACED_KINDS = (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS)
+REPLACED_KINDS = (*faults.REPLACED_SAMPLE_KINDS, *faults.EXTERNAL_FILL_KINDS)
 REFILL_OPTIONS = CleanOptions(read=ReadOptions(accept_contradictions=True), fill=FillOptions(refill=True))
 FAULT_MIXES: dict[str, tuple[str, ...]] = {
     "samples": ("gap", "flicker", "spike", "jitter"),
@@ -366,7 +354,7 @@ class FaultScore(NamedTuple):
 
     # (N,) intersection over union of the samples of each injected fault and those found of it; NaN if not found
     overlap: np.ndarray
-    false_alarms: list[Fault]  # detected faults that were not injected
+    false_alarms: list[faults.Fault]  # detected faults that were not injected
     minutes: float  # duration of the take
     predicted_error: np.ndarray  # (S,) metres: predicted error of each sample that was changed within the injected faults
     true_error: np.ndarray  # (S,) metres
@@ -434,7 +422,7 @@ def score_take(damaged_take: DamagedTake, result: CleaningResult) -> FaultScore:
     """Return the comparison of detected and injected faults."""
     detected, minutes = merge_label_exchanges(result).items, damaged_take.frame_count / damaged_take.rate_hz / 60
     injected = [*damaged_take.injected_faults, *damaged_take.secondary_faults]
-    has_fault = build_fault_mask(injected, damaged_take.markers.shape[:2])
+    has_fault = faults.build_fault_mask(injected, damaged_take.markers.shape[:2])
     has_fault[:, damaged_take.marker_count :] = True  # additional trajectories exist only because they were injected
     alarms = [fault for fault in detected if not all(has_fault[fault.frame_slice, m].any() for m in fault.markers)]
     visible = ~damaged_take.damaged_truth.missing_mask
@@ -443,20 +431,20 @@ def score_take(damaged_take: DamagedTake, result: CleaningResult) -> FaultScore:
     return FaultScore(overlap, alarms, minutes, predicted_error, true_error)
 
 
-def merge_label_exchanges(result: CleaningResult) -> Faults:
+def merge_label_exchanges(result: CleaningResult) -> faults.Faults:
     """Return the detected faults, with exchanges of the same labels replaced by their net effect, since some revert others."""
     sources, own_sources = result.relabelled_take.source_points, result.input_take.source_points
-    cycles = {tuple(sorted(fault.markers)): fault for fault in result.faults.select_kinds(*LABEL_KINDS)}
-    merged = [fault for fault in result.faults.items if fault.kind not in LABEL_KINDS]
+    cycles = {tuple(sorted(fault.markers)): fault for fault in result.faults.select_kinds(*faults.LABEL_KINDS)}
+    merged = [fault for fault in result.faults.items if fault.kind not in faults.LABEL_KINDS]
     for cycle, fault in cycles.items():
         cycle_sources, own = sources[:, cycle], own_sources[:, cycle]
         is_permuted = (np.sort(cycle_sources) == np.sort(own)).all(1)
         exchanged = find_runs(is_permuted & (cycle_sources != own).all(1))
         merged += [replace(fault, first=first, last=last) for first, last in exchanged]
-    return Faults().add_faults(merged)
+    return faults.Faults().add_faults(merged)
 
 
-def compute_fault_overlap(fault: Fault, detected: Iterable[Fault], visible: Bool[np.ndarray, "T M"]) -> float:
+def compute_fault_overlap(fault: faults.Fault, detected: Iterable[faults.Fault], visible: Bool[np.ndarray, "T M"]) -> float:
     """Return the intersection over union of a fault's samples and those of all that was detected of it; NaN if nothing was.
 
     Missing samples do not count, except for faults about missing samples.
@@ -468,16 +456,19 @@ def compute_fault_overlap(fault: Fault, detected: Iterable[Fault], visible: Bool
     ]
     if {m for each in matches for m in each.markers} != set(fault.markers):
         return float("nan")
-    counts = np.ones_like(visible) if fault.kind in (*MISSING_KINDS, "fragment") else visible
-    injected, found = build_fault_mask([fault], visible.shape) & counts, build_fault_mask(matches, visible.shape) & counts
+    counts = np.ones_like(visible) if fault.kind in (*faults.MISSING_KINDS, "fragment") else visible
+    injected, found = (
+        faults.build_fault_mask([fault], visible.shape) & counts,
+        faults.build_fault_mask(matches, visible.shape) & counts,
+    )
     return float((injected & found).sum() / (injected | found).sum())
 
 
-def is_same_kind(detected: Fault, injected: Fault) -> bool:
+def is_same_kind(detected: faults.Fault, injected: faults.Fault) -> bool:
     """Return whether a detected fault is of the kind, or the group of kinds, of an injected one."""
-    if isinstance(detected, Fragment) and detected.relation not in JOINED_RELATIONS:
+    if isinstance(detected, faults.Fragment) and detected.relation not in faults.JOINED_RELATIONS:
         return False
-    groups = (MISSING_KINDS, REPLACED_KINDS, LABEL_KINDS)
+    groups = (faults.MISSING_KINDS, REPLACED_KINDS, faults.LABEL_KINDS)
     return detected.kind == injected.kind or any(detected.kind in group and injected.kind in group for group in groups)
 
 
@@ -486,7 +477,7 @@ def compute_repair_errors(
 ) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, " S"]]:
     """Return the predicted and the true errors in metres of the visible samples that were changed within the injected faults."""
     after, count = result.take, damaged_take.marker_count
-    has_fault = build_fault_mask(damaged_take.injected_faults, damaged_take.markers.shape[:2])[:, :count]
+    has_fault = faults.build_fault_mask(damaged_take.injected_faults, damaged_take.markers.shape[:2])[:, :count]
     is_changed = (compare_samples(result.input_take, after) & after.visible)[:, :count] & has_fault
     sd_m = np.zeros(is_changed.shape) if after.sample_sd is None else np.nan_to_num(after.sample_sd[:, :count])
     error_m = np.linalg.norm(after.markers[:, :count] - damaged_take.true_markers, axis=-1)

@@ -23,14 +23,8 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.detect.loop import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.io import capture
+from mocapfix.lab import hybrik_tables
 from mocapfix.lab.hands import measure_finger_noise
-from mocapfix.lab.hybrik_tables import (
-    NO_TWISTS,
-    build_cmu41_subject,
-    compute_noise_ratios,
-    measure_joint_noise,
-    measure_twist_sources,
-)
 from mocapfix.lab.pose_priors import time_rounds
 from mocapfix.lab.sound_takes import (
     PerformedMotion,
@@ -446,12 +440,12 @@ def measure_hybrik(motion_folder: Path | None, capture_folder: Path | None, prog
     """
     progress("reading")
     poses = sample_subject_poses(motion_folder, MAX_HYBRIK_POSES) if motion_folder else load_unseen_poses()
-    subject = build_cmu41_subject()
-    noise_results = measure_joint_noise(poses, progress)
+    subject = hybrik_tables.build_cmu41_subject()
+    noise_results = hybrik_tables.measure_joint_noise(poses, progress)
     results: dict[str, Any] = {"poses": len(poses), "threads": count_cores()} | noise_results
-    results["ratios"] = {key: compute_noise_ratios(noise_results[key]) for key in ("jitter_mm", "wrong_bones_mm")}
+    results["ratios"] = {key: hybrik_tables.compute_noise_ratios(noise_results[key]) for key in ("jitter_mm", "wrong_bones_mm")}
     results["fingers_mm"] = measure_finger_noise(progress)
-    results["twist"] = measure_twist_sources(poses, subject, progress)
+    results["twist"] = hybrik_tables.measure_twist_sources(poses, subject, progress)
     progress("frames per second")
     results |= measure_hybrik_speeds(poses, subject)
     results["starts"] = measure_initialisation(motion_folder=motion_folder, capture_folder=capture_folder, progress=progress)
@@ -473,7 +467,9 @@ def measure_hybrik_speeds(poses: Float[np.ndarray, "N J 3 3"], subject: Subject)
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
 
     def measure_variant(variant: HybrikVariant) -> float:
-        return compute_frames_per_second(frame_count, lambda: solve_hybrik(joints, subject, variant=variant, twists=NO_TWISTS))
+        return compute_frames_per_second(
+            frame_count, lambda: solve_hybrik(joints, subject, variant=variant, twists=hybrik_tables.NO_TWISTS)
+        )
 
     return {
         "fps": compute_frames_per_second(frame_count, lambda: solve_hybrik(joints, subject)),

@@ -13,20 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mocapfix.lab import extreme_motions
 from mocapfix.lab.common_task import clean_composed_take
-from mocapfix.lab.extreme_motions import (
-    EXTREME_MOTIONS,
-    KEY_RATE_HZ,
-    STAND,
-    WARM_UP,
-    build_keyed_motion,
-    interpolate_key_poses,
-    join_angles,
-    measure_extremity_motion,
-    mirror_moves,
-    sample_angles,
-    stretch_time,
-)
 from mocapfix.lab.lost_limbs import build_full_marker_subject
 from mocapfix.lab.sound_takes import PerformedMotion, perform_take, read_performed_motions
 from mocapfix.model.motion import FrameStatus, Motion
@@ -50,17 +38,19 @@ SLENDER_LIMB_BONES = {  # the joint that carries the markers, and the joint at t
 
 def compose_extreme_motion(subject: Subject, name: str, rate: float) -> Motion:
     """Return the warm-up and a motion of EXTREME_MOTIONS, also mirrored, of this person at `rate` Hz."""
-    motion, skeleton = EXTREME_MOTIONS[name], subject.skeleton
-    warm_up = interpolate_key_poses(skeleton, STAND, WARM_UP)
-    action = interpolate_key_poses(skeleton, STAND, motion.moves)
-    nominal_speed, _ = measure_extremity_motion(subject, build_keyed_motion(subject, action, KEY_RATE_HZ), KEY_RATE_HZ)
+    motion, skeleton = extreme_motions.EXTREME_MOTIONS[name], subject.skeleton
+    warm_up = extreme_motions.interpolate_key_poses(skeleton, extreme_motions.STAND, extreme_motions.WARM_UP)
+    action = extreme_motions.interpolate_key_poses(skeleton, extreme_motions.STAND, motion.moves)
+    nominal_speed, _ = extreme_motions.measure_extremity_motion(
+        subject, extreme_motions.build_keyed_motion(subject, action, extreme_motions.KEY_RATE_HZ), extreme_motions.KEY_RATE_HZ
+    )
     factor = nominal_speed / motion.peak_speed_m_per_s
-    mirrored = interpolate_key_poses(skeleton, STAND, mirror_moves(motion.moves))
-    actions = (stretch_time(each, factor) for each in (action, mirrored))
+    mirrored = extreme_motions.interpolate_key_poses(skeleton, extreme_motions.STAND, extreme_motions.mirror_moves(motion.moves))
+    actions = (extreme_motions.stretch_time(each, factor) for each in (action, mirrored))
     keyed = warm_up
     for each in actions:
-        keyed = join_angles(keyed, each)
-    return build_keyed_motion(subject, sample_angles(keyed, rate), rate)
+        keyed = extreme_motions.join_angles(keyed, each)
+    return extreme_motions.build_keyed_motion(subject, extreme_motions.sample_angles(keyed, rate), rate)
 
 
 def compose_extreme_take(
@@ -151,7 +141,7 @@ class StressTake(NamedTuple):
 
 def measure_stress(
     motion_folders: Sequence[Path] = (),
-    motions: Iterable[str] = tuple(EXTREME_MOTIONS),
+    motions: Iterable[str] = tuple(extreme_motions.EXTREME_MOTIONS),
     rates_hz: Iterable[float] = STRESS_RATES_HZ,
     progress: ProgressCallback = lambda _: None,
 ) -> dict[str, Any]:

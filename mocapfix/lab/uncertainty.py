@@ -15,21 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mocapfix
+from mocapfix import synthetic
 from mocapfix.lab.common_task import clean_composed_take
 from mocapfix.lab.sound_takes import find_informative_markers, iterate_sound_takes
 from mocapfix.model.subject import Subject
 from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
 from mocapfix.stats.sequences import find_runs
-from mocapfix.synthetic import (
-    DAMAGED_ARM_JOINTS,
-    SyntheticTake,
-    compose_take,
-    draw_gaps,
-    draw_spikes,
-    simulate_markers,
-    write_synthetic_take,
-)
 
 ONE_SIGMA_SHARE = 0.6827  # of a normal distribution within one standard deviation
 UNCERTAINTY_SEEDS = range(8)  # subjects that no constant was tuned on; those used for tuning have seeds of 100 and more
@@ -79,35 +71,37 @@ def measure_uncertainty(
     return {"joints": of_joints | {"by_joint": by_joint["by"]}, "filled_markers": of_fills}
 
 
-def iterate_damaged_takes(seeds: list[int], motion_folder: Path | None) -> Iterator[tuple[str, SyntheticTake]]:
+def iterate_damaged_takes(seeds: list[int], motion_folder: Path | None) -> Iterator[tuple[str, synthetic.SyntheticTake]]:
     """Yield the names of takes and the takes, with gaps and spikes. Raises ReadError if the folder holds no motion."""
     if motion_folder is None:
         for seed in seeds:
-            yield f"seed {seed}", compose_take(seed=seed, asymmetric=True)
+            yield f"seed {seed}", synthetic.compose_take(seed=seed, asymmetric=True)
         return
     for seed, (name, truth) in zip(seeds, iterate_sound_takes(motion_folder, len(seeds)), strict=False):
         yield name, damage_take(truth, np.random.default_rng(seed))
 
 
-def damage_take(truth: SyntheticTake, rng: np.random.Generator) -> SyntheticTake:
+def damage_take(truth: synthetic.SyntheticTake, rng: np.random.Generator) -> synthetic.SyntheticTake:
     """Return a take with gaps and spikes like those of a composed take."""
-    is_arm_marker = np.isin(truth.subject.joints, [truth.subject.skeleton.find_joint(name) for name in DAMAGED_ARM_JOINTS])
-    missing = draw_gaps(rng, truth.motion.frame_count, truth.rate, is_arm_marker)
-    shift = draw_spikes(rng, ~missing, truth.rate)
+    is_arm_marker = np.isin(
+        truth.subject.joints, [truth.subject.skeleton.find_joint(name) for name in synthetic.DAMAGED_ARM_JOINTS]
+    )
+    missing = synthetic.draw_gaps(rng, truth.motion.frame_count, truth.rate, is_arm_marker)
+    shift = synthetic.draw_spikes(rng, ~missing, truth.rate)
     damaged = np.where(missing[..., None], np.nan, truth.marker_positions + shift)
     return replace(truth, damaged_positions=damaged, missing_mask=missing, spike_mask=(shift != 0).any(axis=2))
 
 
-def calibrate_from_other_take(truth: SyntheticTake) -> Subject:
+def calibrate_from_other_take(truth: synthetic.SyntheticTake) -> Subject:
     """Return the person of a take, calibrated from a take of the same motion with other skin and without damage."""
-    _, markers = simulate_markers(np.random.default_rng(OTHER_TAKE_SEED), truth.subject, truth.motion, truth.rate)
+    _, markers = synthetic.simulate_markers(np.random.default_rng(OTHER_TAKE_SEED), truth.subject, truth.motion, truth.rate)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "other.c3d"
-        write_synthetic_take(path, replace(truth, damaged_positions=markers, missing_mask=np.isnan(markers[..., 0])))
+        synthetic.write_synthetic_take(path, replace(truth, damaged_positions=markers, missing_mask=np.isnan(markers[..., 0])))
         return mocapfix.calibrate_takes([path])
 
 
-def gather_errors_by_joint(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
+def gather_errors_by_joint(truth: synthetic.SyntheticTake, result: CleaningResult) -> ErrorGroups:
     """Return the errors of all joints, left and right together."""
     error_m, sd_m = _compute_joint_errors(truth, result)
     names = [re.sub("^(Left|Right|L(?=[A-Z])|R(?=[A-Z]))", "", name) for name in truth.subject.skeleton.names]
@@ -115,7 +109,7 @@ def gather_errors_by_joint(truth: SyntheticTake, result: CleaningResult) -> Erro
     return {name: PredictedErrors(error_m[:, group].reshape(-1, 3), sd_m[:, group].ravel()) for name, group in groups.items()}
 
 
-def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
+def gather_joint_errors(truth: synthetic.SyntheticTake, result: CleaningResult) -> ErrorGroups:
     """Return the errors of all joints, grouped by how many of their informative markers were missing."""
     error_m, sd_m = _compute_joint_errors(truth, result)
     is_informative = find_informative_markers(truth.subject)
@@ -128,7 +122,7 @@ def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGr
     return {name: PredictedErrors(error_m[group], sd_m[group]) for name, group in groups.items()}
 
 
-def gather_fill_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
+def gather_fill_errors(truth: synthetic.SyntheticTake, result: CleaningResult) -> ErrorGroups:
     """Return the errors of all estimated samples, grouped by the reason for the estimate."""
     duration_s = np.zeros(truth.missing_mask.shape)
     for m in range(truth.missing_mask.shape[1]):
@@ -178,7 +172,7 @@ def _concatenate_errors(parts: list[PredictedErrors]) -> PredictedErrors:
     return PredictedErrors(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _compute_joint_errors(truth: SyntheticTake, result: CleaningResult) -> tuple[np.ndarray, np.ndarray]:
+def _compute_joint_errors(truth: synthetic.SyntheticTake, result: CleaningResult) -> tuple[np.ndarray, np.ndarray]:
     if result.joint_position_world is None or result.motion is None:
         raise ValueError("a composed take has a known marker set, so it is solved")
     return result.joint_position_world - truth.joint_positions, result.motion.joint_sd

@@ -34,13 +34,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import format_name_list, join_words
-from mocapfix.kernels.label_evidence import (
-    compute_exchange_costs,
-    compute_own_contradictions,
-    compute_own_leaps,
-    mark_continuations,
-    mark_distance_matches,
-)
+from mocapfix.kernels import label_evidence
 from mocapfix.kernels.viterbi import find_cheapest_chain
 from mocapfix.model.faults import LABEL_KINDS, MIN_LABEL_CONFIDENCE, Fault, overlap_in_time
 from mocapfix.model.marker_set import MarkerSet
@@ -50,13 +44,7 @@ from mocapfix.model.take import Take
 from mocapfix.solve.terms import compute_robust_costs
 from mocapfix.stats.marker_distances import MarkerDistances, MarkerTrajectories, build_trajectories, estimate_distances
 from mocapfix.stats.sequences import find_cheapest_states, find_runs, sample_evenly
-from mocapfix.subject.average_body import (
-    PosedBody,
-    build_average_subject,
-    build_posed_body,
-    compute_rest_marker_positions,
-    estimate_body_size_ratio,
-)
+from mocapfix.subject import average_body
 from mocapfix.subject.library import MIRROR_X
 
 MIN_PARTIAL_SWAP_DURATION_S = 0.1  # shortest exchange with a label that is missing at that time: a shorter one may be a spike
@@ -81,7 +69,7 @@ class LabelExchange(NamedTuple):
 def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, distances: MarkerDistances) -> list[LabelExchange]:
     """Find the exchanges of labels in a group of two or three markers, ordered by first frame."""
     states = np.array(list(permutations(range(len(group)))))  # marker i has the samples of label states[s, i]
-    step_cost, state_cost = compute_exchange_costs(states, np.array(group), trajectories, distances)
+    step_cost, state_cost = label_evidence.compute_exchange_costs(states, np.array(group), trajectories, distances)
     swapped_cost = SWAPPED_COST_PER_S / trajectories.rate * (np.arange(len(states)) > 0)
     state = find_cheapest_states(step_cost[1:], state_cost + swapped_cost)
     visible = ~np.isnan(trajectories.markers[:, group, 0])
@@ -203,9 +191,9 @@ def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDist
     """Find the pairs and triples of markers whose labels may have been exchanged; no triples if there are too many."""
     count = trajectories.previous_frame.shape[1]
     is_candidate = np.zeros((count, count), bool)
-    own = compute_own_contradictions(trajectories.markers, distances, 1.0)
-    mark_continuations(trajectories, distances, compute_own_leaps(trajectories), own, is_candidate)
-    mark_distance_matches(trajectories, distances, own, is_candidate)
+    own = label_evidence.compute_own_contradictions(trajectories.markers, distances, 1.0)
+    label_evidence.mark_continuations(trajectories, distances, label_evidence.compute_own_leaps(trajectories), own, is_candidate)
+    label_evidence.mark_distance_matches(trajectories, distances, own, is_candidate)
     is_rare = np.isnan(trajectories.markers[..., 0]).mean(0) > 1 - MIN_LABEL_VISIBLE_FRACTION
     is_candidate[is_rare] = is_candidate[:, is_rare] = False
     pairs: set[tuple[int, ...]] = {tuple(sorted(map(int, pair))) for pair in np.argwhere(is_candidate)}
@@ -273,7 +261,7 @@ ROBUST_SCALES_M = (0.4, 0.2, 0.1)  # scales of the robust loss (Geman & McClure 
 MAX_BODY_FIT_ITERATIONS = 8  # number of iterations at each scale
 
 
-def fit_markers(body: PosedBody, markers: Float[np.ndarray, "N K 3"]) -> Float[np.ndarray, "N K 3"]:
+def fit_markers(body: average_body.PosedBody, markers: Float[np.ndarray, "N K 3"]) -> Float[np.ndarray, "N K 3"]:
     """Return where the body, fitted to each frame by itself, has all its markers, in metres; `markers` are NaN where missing."""
     return body.predict(body.fit(markers, BODY_MARKER_SD_M, ROBUST_SCALES_M, MAX_BODY_FIT_ITERATIONS))
 
@@ -330,9 +318,9 @@ def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | Non
     if len(markers) == 0:
         return []
     if subject is None:
-        size = estimate_body_size_ratio(marker_set, markers, min_frames=1)
-        subject = build_average_subject(marker_set, size)
-    body = build_posed_body(subject)
+        size = average_body.estimate_body_size_ratio(marker_set, markers, min_frames=1)
+        subject = average_body.build_average_subject(marker_set, size)
+    body = average_body.build_posed_body(subject)
     own, is_in_take = np.arange(len(columns)), columns >= 0  # a marker that is not in the take has no label to exchange
     permutations = [np.where(is_in_take & is_in_take[each], each, own) for each in list_mirror_exchanges(marker_set)]
     order, steps = find_correct_labels(markers, body, permutations)
@@ -357,7 +345,7 @@ def select_fullest_frames(markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarr
 
 
 def find_correct_labels(
-    markers: Float[np.ndarray, "N K 3"], body: PosedBody, permutations: list[Int[np.ndarray, " K"]]
+    markers: Float[np.ndarray, "N K 3"], body: average_body.PosedBody, permutations: list[Int[np.ndarray, " K"]]
 ) -> tuple[Int[np.ndarray, " K"], list[RelabelStep]]:
     """Search the correct labels by undoing one exchange after the other, each time the one with the largest gain.
 
@@ -410,7 +398,7 @@ def find_pair_exchanges(
 
 def find_twins(marker_set: MarkerSet) -> Int[np.ndarray, " K"]:
     """Find the index of the marker that mirrors each one; its own index if there is none or it lies in the middle."""
-    rest = compute_rest_marker_positions(marker_set)
+    rest = average_body.compute_rest_marker_positions(marker_set)
     distance_m = np.linalg.norm(rest[:, None] * MIRROR_X - rest[None], axis=-1)
     nearest, own = distance_m.argmin(1), np.arange(len(rest))
     return np.where((nearest[nearest] == own) & (distance_m.min(1) <= MAX_TWIN_DISTANCE_M), nearest, own)

@@ -32,14 +32,8 @@ from mocapfix.model.marker_set import MarkerSet, fold_label
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import C3dLayout, Take
 from mocapfix.options import DEFAULT_READ_OPTIONS, CleanOptions, ReadOptions
+from mocapfix.subject import library
 from mocapfix.subject.label_words import guess_marker_set_from_words
-from mocapfix.subject.library import (
-    SubjectChoice,
-    choose_marker_set,
-    find_subject_prefixes,
-    load_requested_subject,
-    load_shipped_marker_sets,
-)
 
 MAX_KNOWN_WORD_SHARE = 0.1  # of labels with words for places, up to which labels have no meaning; some words are short
 MAX_STEM_SHARE = 0.1  # number of different labels without their digits up to which labels are numbers, as a share of the labels
@@ -52,7 +46,7 @@ def are_labels_arbitrary(labels: Sequence[str], marker_set: MarkerSet) -> bool:
     """
     if not labels or not marker_set.describe_missing_body(marker_set.match_labels(labels)):
         return False
-    if choose_marker_set(labels).marker_set is not None:
+    if library.choose_marker_set(labels).marker_set is not None:
         return False
     names = [label.rpartition(":")[2] for label in labels]
     if len({fold_label(name).strip("0123456789") for name in names}) <= max(1.0, MAX_STEM_SHARE * len(names)):
@@ -256,10 +250,10 @@ def label_capture(
         if labelled is not None:
             return labelled, options.change(like=None)
         options = options.change(subject=calibrate([Path(requested.like)], CleanOptions(read=options.read)), like=None)
-    return label_take(take, load_requested_subject(options.subject), options.read), options
+    return label_take(take, library.load_requested_subject(options.subject), options.read), options
 
 
-def label_take(take: Take, request: SubjectChoice, read_options: ReadOptions) -> Take:
+def label_take(take: Take, request: library.SubjectChoice, read_options: ReadOptions) -> Take:
     """Return a take with labels if its points have none, or none with a meaning, and with the prefixes of its subjects.
 
     They are those of the marker set or the subject that the user names, or else of the shipped set that fits clearly. Where none
@@ -270,7 +264,7 @@ def label_take(take: Take, request: SubjectChoice, read_options: ReadOptions) ->
         TakeError: If the points of a take without any label cannot be joined, or no person with the markers of a set that the
             user names is found.
     """
-    take = replace(take, subject_prefixes=find_subject_prefixes(take.labels, request.marker_set))
+    take = replace(take, subject_prefixes=library.find_subject_prefixes(take.labels, request.marker_set))
     points = collect_unlabelled_points(take)
     if points is None:
         if request.marker_set is None or not are_labels_arbitrary(take.labels, request.marker_set):
@@ -311,7 +305,7 @@ def label_take_like(take: Take, path: Path, options: ReadOptions) -> Take | None
     Returns None where the take has labels that may be those of the other one, or where a shipped set fits that.
     """
     other = read_capture(path, options)
-    if isinstance(other, Animation) or collect_unlabelled_points(other) or choose_marker_set(other.labels).marker_set:
+    if isinstance(other, Animation) or collect_unlabelled_points(other) or library.choose_marker_set(other.labels).marker_set:
         return None
     points = collect_unlabelled_points(take)
     if points is None:
@@ -365,7 +359,7 @@ def join_and_number(take: Take, points: FilePoints, tracklets: UnlabelledPoints,
 
 def _load_candidates() -> list[MarkerSet]:
     """Return the shipped sets of markers, without those of keypoints."""
-    return [each for each in load_shipped_marker_sets() if not each.point_sd]
+    return [each for each in library.load_shipped_marker_sets() if not each.point_sd]
 
 
 def _apply_labels_of_set(take: Take, points: FilePoints, labels: PointLabels, marker_set: MarkerSet) -> Take:

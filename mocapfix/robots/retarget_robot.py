@@ -22,16 +22,7 @@ from mocapfix.animations.repair_methods import make_quaternions_continuous
 from mocapfix.robots.robot import Robot
 from mocapfix.robots.robot_map import list_leaders
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, stand_feet
-from mocapfix.solve.trajectory import (
-    FAR_START_DAMPING,
-    ROOT_UNKNOWNS,
-    ControlCosts,
-    HingedTerms,
-    Trajectory,
-    build_spline_basis,
-    minimise_trajectory,
-    place_points,
-)
+from mocapfix.solve import trajectory
 
 WINDOW_S, OVERLAP_S = 20.0, 1.0  # longest part of a take that is solved at once, and the time that two parts share
 SPEED_SHARE, SPEED_SD = 0.97, 0.05  # share of its limit that a speed may reach, and the standard deviation of an excess
@@ -60,7 +51,7 @@ class SolveStage(NamedTuple):
     damping: float
 
 
-SEARCH = SolveStage(15.0, False, 10, 1e-2, FAR_START_DAMPING)
+SEARCH = SolveStage(15.0, False, 10, 1e-2, trajectory.FAR_START_DAMPING)
 STANDING = (
     (0.003, SolveStage(15.0, False, 12, 3e-4, 1e-2)),
     (0.001, SolveStage(30.0, False, 12, 3e-4, 1e-3)),
@@ -113,16 +104,16 @@ def differentiate(values: Float[np.ndarray, "*shape"], rate: float) -> Float[np.
 def retarget_to_robot(body: RobotBody, targets: RobotTargets) -> RobotMotion:
     """Return the motion of a robot that does what `compute_robot_targets` returns."""
     found = find_start(body, targets)
-    costs = build_control_costs(body, found.points[0, ROOT_UNKNOWNS:])
+    costs = build_control_costs(body, found.points[0, trajectory.ROOT_UNKNOWNS :])
     found = solve_windows(body, targets.loosen(), replace(costs, rest_sd=POSTURE_SEARCH_SD_RAD), found, SEARCH)
     for standing_sd, stage in STANDING:
-        edges, _ = place_points(body.tree, found.references, found.unknowns, body.edge_links, body.edge_offsets)
+        edges, _ = trajectory.place_points(body.tree, found.references, found.unknowns, body.edge_links, body.edge_offsets)
         found = solve_windows(body, stand_feet(body, targets, edges, standing_sd), costs, found, stage)
     found = found.limit_speeds(costs.speed_limits)
     return compose_robot_motion(body, targets.rate, found.references, found.unknowns)
 
 
-def build_control_costs(body: RobotBody, posture: Float[np.ndarray, " U"]) -> ControlCosts:
+def build_control_costs(body: RobotBody, posture: Float[np.ndarray, " U"]) -> trajectory.ControlCosts:
     """Return the costs of control points; joints that follow others narrow the limits of those."""
     tree, robot = body.tree, body.robot
     limits, speeds = np.tile([-np.inf, np.inf], (len(posture), 1)), np.full(len(posture), np.inf)
@@ -132,10 +123,10 @@ def build_control_costs(body: RobotBody, posture: Float[np.ndarray, " U"]) -> Co
             low, high = np.sort((robot.limits[joint] - offset) / factor)
             limits[unknown] = max(limits[unknown, 0], low), min(limits[unknown, 1], high)
             speeds[unknown] = min(speeds[unknown], body.speed_limits[joint] / abs(factor))
-    size = ROOT_UNKNOWNS + len(posture)
+    size = trajectory.ROOT_UNKNOWNS + len(posture)
     acceleration, jerk = np.full(size, ACCELERATION_SD), np.full(size, JERK_SD)
     acceleration[:3], jerk[:3] = ROOT_ACCELERATION_SD, ROOT_JERK_SD
-    return ControlCosts(limits, SPEED_SHARE * speeds, SPEED_SD, posture, POSTURE_SD_RAD, acceleration, jerk)
+    return trajectory.ControlCosts(limits, SPEED_SHARE * speeds, SPEED_SD, posture, POSTURE_SD_RAD, acceleration, jerk)
 
 
 def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " U"]:
@@ -152,7 +143,7 @@ def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " 
     directions[0, : len(names)] = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
     weights[0, : len(names)] = POSTURE_LINE_SD_RAD**-2
     turns = np.stack([body.standing.rotations[link] for link in rotation.links])[None]
-    terms = HingedTerms(
+    terms = trajectory.HingedTerms(
         frame.place._replace(weights=np.zeros(frame.place.weights.shape)),
         frame.floor._replace(weight=0.0),
         line._replace(directions=directions, weights=weights),
@@ -162,43 +153,43 @@ def find_posture(body: RobotBody, targets: RobotTargets) -> Float[np.ndarray, " 
     )
     standing = body.map.standing[list_leaders(body.robot)]
     costs = replace(build_control_costs(body, standing), rest_sd=POSTURE_SEARCH_SD_RAD)
-    random, basis = np.random.default_rng(0), build_spline_basis(1, POSTURE_RATE, 1)
+    random, basis = np.random.default_rng(0), trajectory.build_spline_basis(1, POSTURE_RATE, 1)
     low, high = np.clip(costs.limits, -np.pi, np.pi).T
     best = (np.inf, standing)
     for k in range(1 + POSTURE_STARTS):
         joints = np.clip(standing, low, high) if k == 0 else standing + 0.5 * (random.uniform(low, high) - standing)
-        points = np.tile(np.concatenate([np.zeros(ROOT_UNKNOWNS), joints]), (basis.point_count, 1))
-        start = Trajectory(basis, body.robot.link_rotations[:1], points)
-        found, cost = minimise_trajectory(body.tree, terms, costs, start, max_iterations=25, min_decrease=1e-3)
+        points = np.tile(np.concatenate([np.zeros(trajectory.ROOT_UNKNOWNS), joints]), (basis.point_count, 1))
+        start = trajectory.Trajectory(basis, body.robot.link_rotations[:1], points)
+        found, cost = trajectory.minimise_trajectory(body.tree, terms, costs, start, max_iterations=25, min_decrease=1e-3)
         if cost < best[0]:
-            best = cost, found.unknowns[0, ROOT_UNKNOWNS:]
+            best = cost, found.unknowns[0, trajectory.ROOT_UNKNOWNS :]
     return np.clip(best[1], low, high)
 
 
-def find_start(body: RobotBody, targets: RobotTargets) -> Trajectory:
+def find_start(body: RobotBody, targets: RobotTargets) -> trajectory.Trajectory:
     """Return the easy posture carried along the path, turned as the performer's pelvis."""
     count = len(targets.hips)
-    basis = build_spline_basis(count, targets.rate, max(1, round(targets.rate / SEARCH.control_rate)))
+    basis = trajectory.build_spline_basis(count, targets.rate, max(1, round(targets.rate / SEARCH.control_rate)))
     quaternions = make_quaternions_continuous(Rotation.from_matrix(targets.pelvis).as_quat())
     pelvis = Rotation.from_quat(basis.evaluate(basis.fit(quaternions))).as_matrix()
     references = np.ascontiguousarray(pelvis @ body.robot.link_rotations[0])
-    points = np.zeros((basis.point_count, ROOT_UNKNOWNS + len(body.map.standing[list_leaders(body.robot)])))
+    points = np.zeros((basis.point_count, trajectory.ROOT_UNKNOWNS + len(body.map.standing[list_leaders(body.robot)])))
     points[:, :3] = basis.fit(targets.hips - pelvis @ body.hip_centre)
-    points[:, ROOT_UNKNOWNS:] = find_posture(body, targets)
-    return Trajectory(basis, references, points)
+    points[:, trajectory.ROOT_UNKNOWNS :] = find_posture(body, targets)
+    return trajectory.Trajectory(basis, references, points)
 
 
 def solve_windows(
-    body: RobotBody, targets: RobotTargets, costs: ControlCosts, start: Trajectory, stage: SolveStage
-) -> Trajectory:
+    body: RobotBody, targets: RobotTargets, costs: trajectory.ControlCosts, start: trajectory.Trajectory, stage: SolveStage
+) -> trajectory.Trajectory:
     """Return the trajectory of least cost, solved in windows that overlap.
 
     In an overlap the control points of one window lead over into those of the next.
     """
     interval = max(1, round(targets.rate / stage.control_rate))
     if interval != start.basis.interval:
-        basis = build_spline_basis(len(start.references), targets.rate, interval)
-        start = Trajectory(basis, start.references, basis.fit(start.unknowns))
+        basis = trajectory.build_spline_basis(len(start.references), targets.rate, interval)
+        start = trajectory.Trajectory(basis, start.references, basis.fit(start.unknowns))
     basis, points = start.basis, start.points.copy()
     length, overlap = (round(seconds / basis.interval_s) for seconds in (WINDOW_S, OVERLAP_S))
     first, count = 0, len(points)
@@ -207,7 +198,7 @@ def solve_windows(
         window = start.select_points(first, stop)
         frame = first * basis.interval
         terms = targets.select_frames(slice(frame, frame + len(window.references)))
-        window, _ = minimise_trajectory(
+        window, _ = trajectory.minimise_trajectory(
             body.tree, terms, costs, window,
             frame_step=1 if stage.counts_all else interval,
             max_iterations=stage.max_iterations, min_decrease=stage.min_decrease, damping=stage.damping,
@@ -224,6 +215,6 @@ def compose_robot_motion(
 ) -> RobotMotion:
     """Return the motion of unknowns, as `kernels.hinged_tree` takes them."""
     tree, links = body.tree, np.arange(len(body.tree.parents))
-    positions, rotations = place_points(tree, references, unknowns, links, np.zeros((len(links), 3)))
-    joints = tree.offsets + tree.factors * unknowns[:, ROOT_UNKNOWNS + tree.unknowns] + body.robot.zero_positions
+    positions, rotations = trajectory.place_points(tree, references, unknowns, links, np.zeros((len(links), 3)))
+    joints = tree.offsets + tree.factors * unknowns[:, trajectory.ROOT_UNKNOWNS + tree.unknowns] + body.robot.zero_positions
     return RobotMotion(body.robot, rate, references, unknowns, joints, positions, rotations)

@@ -5,8 +5,8 @@ X. Joint positions are those of MuJoCo's `qpos`: radians, metres for slides, in 
 
 `load_robot` reads MJCF and URDF by MuJoCo's own parser and compiler; it needs the extra `robot`. The compiled model has the
 defaults, includes, units and frames of the file resolved. Read are the links below the first free joint with most joints: a URDF
-and an MJCF without a free joint get one. Links that are fixed to others are kept. Meshes that are missing are left out; those that
-are there and can collide are replaced by capsules along their longest extent.
+and an MJCF without a free joint get one. Links that are fixed to others are kept. Meshes that are missing are left out; those
+that are there and can collide are replaced by capsules along their longest extent.
 """
 
 import importlib

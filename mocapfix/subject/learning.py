@@ -27,16 +27,8 @@ from mocapfix.options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.solve.mean_pose import JointLimits, load_joint_limits, load_mean_pose_prior
 from mocapfix.stats.marker_distances import find_rigid_groups, measure_distance_spread
 from mocapfix.stats.sequences import sample_evenly
+from mocapfix.subject import library
 from mocapfix.subject.label_words import guess_marker_set_from_words, names_object
-from mocapfix.subject.library import (
-    UNASSIGNED_SUBJECT,
-    SubjectChoice,
-    choose_marker_set,
-    describe_marker_set_match,
-    find_subject_prefixes,
-    load_marker_set,
-    select_subject,
-)
 from mocapfix.subject.marker_set_fit import MarkerSetFit, fit_marker_set
 from mocapfix.subject.props import find_props
 from mocapfix.subject.unlabelled_markers import guess_from_marker_cloud, guess_from_rigid_groups
@@ -387,7 +379,7 @@ def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None 
         TakeError: If the set `like` has too few of the take's markers, or if no guess shows a body.
     """
     visible_labels = [label if take.visible[:, m].any() else "" for m, label in enumerate(labels)]
-    known = load_marker_set(like) if like else choose_marker_set(visible_labels).marker_set
+    known = library.load_marker_set(like) if like else library.choose_marker_set(visible_labels).marker_set
     from_words = guess_marker_set_from_words([label for label in visible_labels if label])
     is_part = known is not None and bool(known.describe_incomplete_body(known.match_labels(visible_labels)))
     if is_part and not like and not from_words.describe_incomplete_body(from_words.labels):
@@ -403,7 +395,7 @@ def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None 
             )
         has_others = len(guess.labels) < sum(map(bool, visible_labels))
         others = " The segments of the others are learned from their motion." if has_others else ""
-        return InitialGuess(guess, KNOWN_LABEL_LOG_ODDS, f"{describe_marker_set_match(known, visible_labels)}{others}")
+        return InitialGuess(guess, KNOWN_LABEL_LOG_ODDS, f"{library.describe_marker_set_match(known, visible_labels)}{others}")
     guess = from_words.select_shown_part(from_words.labels)
     if guess.labels:
         description = f"{len(guess.labels)} markers were located by words in their labels, the others by their motion."
@@ -453,12 +445,12 @@ MIN_OWN_SET_MARKERS = 5  # visible markers of the smallest part of a body, a sin
 MAX_OWN_SET_MARKERS = 400  # of one body; the densest published set has 350 (Park & Hodgins 2006)
 
 
-def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
+def find_own_marker_set(take: Take, choice: library.SubjectChoice) -> library.SubjectChoice:
     """Return the choice for a take without a known set: with a set learned from the take, or without one and with the reason."""
     known_reason = choice.notes[:1]
     try:
         count = int(take.visible.any(0).sum())
-        if take.subject_name == UNASSIGNED_SUBJECT or count < MIN_OWN_SET_MARKERS:
+        if take.subject_name == library.UNASSIGNED_SUBJECT or count < MIN_OWN_SET_MARKERS:
             return choice
         if count > MAX_OWN_SET_MARKERS:
             raise TakeError(f"{take.name}: {count:,} markers with unknown labels are more than those of one body")
@@ -494,9 +486,9 @@ def learn_marker_set(
     report_stage = progress or (lambda stage: None)
     report_stage("read")
     take = read_take(path, options)
-    take = replace(take, subject_prefixes=find_subject_prefixes(take.labels))
+    take = replace(take, subject_prefixes=library.find_subject_prefixes(take.labels))
     if subject_prefix is not None:
-        take = select_subject(take, subject_prefix)
+        take = library.select_subject(take, subject_prefix)
     selected = select_subject_markers(take.masked(take.measured))
     report_stage("learn")
     return add_props(learn_from_markers(selected, name, like), take)
