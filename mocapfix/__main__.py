@@ -7,7 +7,7 @@ import sys
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-M_ARENA_MAX = -8  # parameter of the memory allocator of glibc: the number of heaps
+ALLOCATOR_PARAMETERS = {-8: 1, -3: 4 << 20, -1: 16 << 20}  # of glibc: heaps, bytes of a large array, of memory that a heap keeps
 
 
 class UncheckedShapes(ModuleType):
@@ -33,7 +33,8 @@ def main() -> None:
     The matrices are small, and the kernels distribute frames over the cores: threads of BLAS would only wait for each other. BLAS
     reads the environment when it is loaded, hence before any import. The garbage collector would take half a second to search the
     objects of the libraries for reference cycles, of which there are none worth freeing in a short process. What one thread has
-    released is used again by the others if all have one heap: with one heap each, a minute of motion takes 100 MB more.
+    released is used again by the others if all have one heap: with one heap each, a minute of motion takes 100 MB more. Arrays
+    of 4 MB or more, such as the positions of its markers, are outside of it and leave no holes in it: these were 100 MB more.
     """
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
@@ -42,7 +43,8 @@ def main() -> None:
     os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off,re_sdk=off")
     gc.disable()
     if set_parameter := getattr(ctypes.pythonapi, "mallopt", None):  # glibc has it
-        set_parameter(M_ARENA_MAX, 1)
+        for parameter, value in ALLOCATOR_PARAMETERS.items():
+            set_parameter(parameter, value)
     from mocapfix.cli import app
 
     try:

@@ -320,7 +320,7 @@ def record_cleaning(folder: Path, comparison: CleaningComparison, figures: "Sequ
 def _write_html_report(target: Path, content: OutputContent) -> None:
     from mocapfix.report.html_report import write_html_report
 
-    write_html_report(target, content.report, content.comparison, content.sheets)
+    write_html_report(target, content.report, content.comparison, [each[:2] for each in content.sheets])
 
 
 def _write_json_report(target: Path, content: OutputContent) -> None:

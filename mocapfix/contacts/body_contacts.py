@@ -18,7 +18,6 @@ from operator import call
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts, HeldFeet, StandingBody
@@ -47,7 +46,7 @@ from mocapfix.solve.minimise import SolverSettings, minimise
 from mocapfix.solve.parallel import map_in_threads
 from mocapfix.solve.pose_problem import find_key_frames
 from mocapfix.solve.terms import KinematicTree, PointTerm, TrackingTerm, build_no_joint_limits, build_no_pose_prior
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_runs, slide_windows, smooth_values
 
 ROLLING_SD_M = 0.006  # standard deviation per axis of ankle or toes of a foot about where they stand when markers show them
 SHINS = {"left": "LeftLeg", "right": "RightLeg"}
@@ -154,8 +153,7 @@ def build_leg_markers(
     columns = np.flatnonzero(np.isin(subject.joints, joints))
     residual = markers[:, columns] - body_markers[:, columns]
     visible, sd = ~np.isnan(residual[..., 0]), SHARE_SMOOTHING_S * rate
-    weight = scipy.ndimage.gaussian_filter1d(visible.astype(float), sd, axis=0, mode="nearest")
-    total = scipy.ndimage.gaussian_filter1d(np.where(visible[..., None], residual, 0.0), sd, axis=0, mode="nearest")
+    weight, total = smooth_values(visible.astype(float), sd), smooth_values(np.where(visible[..., None], residual, 0.0), sd)
     position = body_markers[:, columns] + total / np.maximum(weight, MIN_KERNEL_WEIGHT)[..., None]
     share = np.stack([smooth_share(each.astype(float), rate) for each in visible.T], axis=1) if len(columns) else weight
     return LegMarkers(subject.joints[columns], subject.marker_offsets[columns], position, share)
@@ -293,7 +291,7 @@ def hold_measured_feet(
     foot_of_joint = [n for n, joints in enumerate(FOOT_JOINTS.values()) for _ in joints]
     shown = contacts.select_feet().is_contact & contacts.select_feet().is_known
     reach = 2 * round(SHOWN_REACH_S * contacts.rate) + 1
-    is_shown = scipy.ndimage.maximum_filter1d(shown.reshape(len(shown), len(LEGS), 2).any(2), reach, axis=0)
+    is_shown = slide_windows(shown.reshape(len(shown), len(LEGS), 2).max(2), reach).max(2)
     limit = np.ones((body.motion.frame_count, len(LEGS)))
     share, moved, filling_motion = np.zeros_like(limit), body, body.motion
     for yield_round in range(MAX_YIELD_ROUNDS):
@@ -334,8 +332,8 @@ def find_jumps(before: Float[np.ndarray, "T 3"], after: Float[np.ndarray, "T 3"]
         return np.zeros(len(before), bool)
     acceleration = [np.pad(np.linalg.norm(np.diff(each, 2, axis=0), axis=1) * rate**2, 1) for each in (before, after)]
     reach = 2 * round(JUMP_REACH_S * rate) + 1
-    usual = np.maximum(MAX_JUMP_RATIO * scipy.ndimage.maximum_filter1d(acceleration[0], reach), MIN_JUMP_M_S2)
-    return scipy.ndimage.maximum_filter1d(acceleration[1] > usual, 3)
+    usual = np.maximum(MAX_JUMP_RATIO * slide_windows(acceleration[0], reach).max(1), MIN_JUMP_M_S2)
+    return slide_windows(acceleration[1] > usual, 3).max(1)
 
 
 def select_held_contacts(contacts: BodyContacts, share: Float[np.ndarray, "T F"]) -> BodyContacts:

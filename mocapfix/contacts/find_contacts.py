@@ -17,7 +17,6 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Float32, Int
 
 from mocapfix.contacts.contacts import (
@@ -38,7 +37,7 @@ from mocapfix.io.shipped import find_shipped_folder
 from mocapfix.model.motion import Motion
 from mocapfix.model.skeleton import Skeleton
 from mocapfix.solve.learned_ik import Perceptron, read_perceptron
-from mocapfix.stats.sequences import average_windows, find_runs
+from mocapfix.stats.sequences import average_windows, find_runs, slide_windows, smooth_values
 
 TOES = slice(1, None, 2)  # columns of CONTACT_JOINTS
 MAX_SHOWN_JOINT_SD_M = 0.03  # standard deviation above which a joint's position is never known
@@ -312,10 +311,10 @@ def estimate_slide(
     if len(hips) < 2:
         return no_slide
     velocity = np.gradient(hips, 1 / contacts.rate, axis=0) * [1.0, 0.0, 1.0]
-    smooth = scipy.ndimage.gaussian_filter1d(velocity, WALKING_SMOOTHING_S * contacts.rate, axis=0, mode="nearest")
+    smooth = smooth_values(velocity, WALKING_SMOOTHING_S * contacts.rate)
     speed, toe_velocity = np.linalg.norm(smooth, axis=1, keepdims=True), np.gradient(toes, 1 / contacts.rate, axis=0)
     shares = np.einsum("tfi,ti->tf", toe_velocity, smooth) / np.maximum(speed, MIN_WALKING_SPEED_M_S) ** 2
-    lowest = scipy.ndimage.minimum_filter1d(toes[..., 1], 2 * round(STEP_HEIGHT_WINDOW_S / 2 * contacts.rate) + 1, axis=0)
+    lowest = slide_windows(toes[..., 1], 2 * round(STEP_HEIGHT_WINDOW_S / 2 * contacts.rate) + 1).min(2)
     is_support = (toes[..., 1] < lowest + MAX_STEP_HEIGHT_M) & (np.abs(shares) < MAX_SLIDE_SHARE) & (shares[:, ::-1] > 1)
     is_contact = np.stack([contacts.find_foot_contact(side) for side in FOOT_JOINTS], axis=1)
     is_support = (is_contact if is_given else is_support) & (speed > MIN_WALKING_SPEED_M_S)
@@ -327,7 +326,7 @@ def estimate_slide(
     is_sliding = is_sliding and not FITTING_SHARES[0] <= np.median(step_shares) <= FITTING_SHARES[1]
     if not steps:
         return no_slide
-    usual, path = scipy.ndimage.median_filter(step_shares, SLIDE_STEPS, mode="nearest"), np.zeros(hips.shape)
+    usual, path = np.median(slide_windows(step_shares, SLIDE_STEPS), axis=1), np.zeros(hips.shape)
     if is_given or is_sliding:
         share = np.interp(np.arange(len(hips)), [frame for frame, _, _ in steps], usual)
         path = np.cumsum(share[:, None] * velocity, axis=0) / contacts.rate

@@ -13,12 +13,11 @@ allow: `compute_step_displacements`.
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.contacts.find_contacts import ROLLING_SPEED_M_S, compute_speed
-from mocapfix.stats.sequences import find_runs, smooth_path
+from mocapfix.stats.sequences import find_runs, slide_windows, smooth_path, smooth_values
 
 HORIZONTAL_AXES = [0, 2]
 UP_AXIS = 1
@@ -156,7 +155,7 @@ def compute_target(
             from_mean[:, UP_AXIS] = 0.0
             shown -= limit_length(from_mean, locked_m)
         else:
-            shown = scipy.ndimage.gaussian_filter1d(shown, SOFT_SMOOTHING_S * rate, axis=0, mode="nearest")
+            shown = smooth_values(shown, SOFT_SMOOTHING_S * rate)
         shown[:, UP_AXIS] = height
         target[span] = shown
     return target
@@ -269,13 +268,13 @@ def smooth_displacement(
     wanted = np.where(is_contact[:, None], displacement, 0.0)
     smooth = smooth_path(wanted, variance, power, rate)
     reach = 2 * round(ACCELERATION_REACH_S * rate) + 1
-    is_free = scipy.ndimage.maximum_filter1d(~is_limited, reach)
+    is_free = slide_windows(~is_limited, reach).any(1)
     for _ in range(ACCELERATION_ROUNDS if len(smooth) > 2 else 0):
         acceleration = np.linalg.norm(np.diff(smooth[:, :3], 2, axis=0), axis=1) * rate**2
         if acceleration.max() <= lock.acceleration_m_s2:
             break
         excess = np.pad(np.maximum(1, acceleration / lock.acceleration_m_s2), 1, mode="edge")
-        near = scipy.ndimage.maximum_filter1d(np.where(is_free, 1, excess), reach)
+        near = slide_windows(np.where(is_free, 1, excess), reach).max(1)
         power /= near**2
         smooth = smooth_path(wanted, variance, power, rate)
     return smooth

@@ -20,14 +20,13 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.viterbi import find_cheapest_chain
 from mocapfix.model.faults import Fault, build_fault_mask
 from mocapfix.model.take import Take
 from mocapfix.stats.marker_distances import estimate_distances
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_runs, slide_windows
 
 Result = TypeVar("Result")
 
@@ -292,8 +291,9 @@ def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: flo
         is_noisy = _is_median_above(residual_m[stretch], window, min_residual_m)
         if not is_noisy.any():
             continue
-        median_m = scipy.ndimage.median_filter(residual_m[stretch], window, mode="nearest")
-        is_burst = is_noisy | scipy.ndimage.binary_closing(is_noisy, np.ones(window))  # a short pause does not end a burst
+        median_m = np.median(slide_windows(residual_m[stretch], window), axis=1)
+        is_near = np.pad(slide_windows(is_noisy, window).any(1), window // 2)  # a short pause does not end a burst
+        is_burst = is_noisy | np.lib.stride_tricks.sliding_window_view(is_near, window).all(1)
         for a, b in find_runs(is_burst):
             first, last = int(frames[stretch[a]]), int(frames[stretch[b]])
             if len(stretch) >= MIN_NOISE_SAMPLES and last - first + 1 >= min_frames:

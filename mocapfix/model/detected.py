@@ -135,13 +135,9 @@ def find_namesakes(take: Take) -> dict[int, int]:
     first_of_label: dict[str, int] = {}
     for m in np.argsort(-take.visible.sum(0), kind="stable"):
         first_of_label.setdefault(take.labels[m], int(m))
-    bases = [label if first_of_label[label] != m else _strip_number(label) for m, label in enumerate(take.labels)]
+    numbered = [found and found[1] for found in map(NUMBERED_LABEL.fullmatch, take.labels)]
+    bases = [label if first_of_label[label] != m else numbered[m] for m, label in enumerate(take.labels)]
     return {m: first_of_label[base] for m, base in enumerate(bases) if base in first_of_label}
-
-
-def _strip_number(label: str) -> str | None:
-    numbered = NUMBERED_LABEL.fullmatch(label)
-    return numbered.group(1) if numbered else None
 
 
 @dataclass(frozen=True)

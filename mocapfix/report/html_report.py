@@ -26,7 +26,6 @@ from mocapfix.report.change_figures import (
     format_severity,
     select_worst_changes,
 )
-from mocapfix.report.contact_sheet import ContactSheet
 from mocapfix.report.notes import MAX_RELIABLE_FILL_SD_M
 from mocapfix.report.report import Report
 from mocapfix.report.sample_states import (
@@ -67,8 +66,10 @@ def _load_environment() -> Environment:
 MAX_CAPTION_MARKERS = 12  # labels in a caption
 
 
-def write_html_report(target: Path, report: Report, comparison: CleaningComparison, sheets: Sequence[ContactSheet] = ()) -> None:
-    """Write the HTML report of a take, with the contact sheets of its characters."""
+def write_html_report(
+    target: Path, report: Report, comparison: CleaningComparison, sheets: Sequence[tuple[str, bytes]] = ()
+) -> None:
+    """Write the HTML report of a take, with the contact sheets of its characters: their files' names, and PNG data."""
     take = comparison.input_take
     groups = {get_fault_group(fault.kind) for fault in comparison.faults.items}
     answers = (("Faults", describe_faults), ("Changes", describe_changes), ("Remaining", describe_remaining))
@@ -88,7 +89,7 @@ def write_html_report(target: Path, report: Report, comparison: CleaningComparis
         moving=moving,
         hands=[Figure(*each) for each in build_hand_figures(comparison, comparison.worst_moment[0])],
         change_figures=[build_change_figure(comparison, *each) for each in select_worst_changes(comparison)],
-        sheets=[(name, base64.b64encode(png).decode()) for name, png, _ in sheets],
+        sheets=[(name, base64.b64encode(png).decode()) for name, png in sheets],
         frame_count=take.frame_count,
         fault_rows=build_fault_rows(comparison),
         fault_legend=[each for each in FAULT_GROUPS if each[0] in groups or " " in each[0]],

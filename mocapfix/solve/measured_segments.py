@@ -9,13 +9,13 @@ least as good as the same share of the displacement. The share changes slowly, s
 from dataclasses import replace
 
 import numpy as np
-import scipy
 from jaxtyping import Float, Int
 
 from mocapfix.model.motion import Motion
 from mocapfix.model.subject import Subject
 from mocapfix.solve import kinematics
 from mocapfix.stats.rigid_alignment import compute_lengths, scale_rotations
+from mocapfix.stats.sequences import slide_windows, smooth_values
 
 MAX_RESIDUAL_GROWTH_M = 0.002
 """Growth of a segment's mean distance that an inferred term may cause. Skin moves by 5 to 20 mm, cameras err by 0.2 to 1 mm."""
@@ -73,9 +73,8 @@ def compute_allowed_share(growth: Float[np.ndarray, " W"], frame_count: int) -> 
 def smooth_share(share: Float[np.ndarray, " T"], rate: float) -> Float[np.ndarray, " T"]:
     """Return a share that changes slowly and is nowhere above the given one."""
     sd = max(SHARE_SMOOTHING_S * rate, 1e-3)
-    reach = int(SHARE_REACH_SD * sd + 0.5)
-    least = scipy.ndimage.minimum_filter1d(share, 2 * reach + 1, mode="nearest")
-    return scipy.ndimage.gaussian_filter1d(least, sd, mode="nearest", radius=reach)
+    least = slide_windows(share, 2 * int(SHARE_REACH_SD * sd + 0.5) + 1).min(1)
+    return smooth_values(least, sd, SHARE_REACH_SD)
 
 
 def yield_to_markers(

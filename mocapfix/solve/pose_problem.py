@@ -37,7 +37,7 @@ from mocapfix.solve.terms import (
     build_no_tracking,
     build_pose_prior_term,
 )
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_runs, slide_windows
 
 GAP_BORDER_S = 0.05  # time before and after its gaps for which a marker is ignored
 POSE_PERSISTENCE_S = 1.0  # time in which the prior and the joint limits count once, instead of once a frame
@@ -278,8 +278,8 @@ def find_changed_frames(
 def select_windows(is_affected: Bool[np.ndarray, " T"], rate: float) -> list[FrameWindow]:
     """Return the windows in which the frames that changes affect must be solved."""
     frame_count, reach = len(is_affected), round(SMOOTHING_REACH_S * rate)
-    inner_mask = _dilate(is_affected, reach)
-    if _dilate(inner_mask, reach).sum() > MAX_WINDOW_SHARE * frame_count:
+    inner_mask = slide_windows(is_affected, 2 * reach + 1).max(1)
+    if slide_windows(inner_mask, 2 * reach + 1).max(1).sum() > MAX_WINDOW_SHARE * frame_count:
         inner_mask[:] = True
     windows: list[FrameWindow] = []
     for first, last in find_runs(inner_mask):
@@ -291,11 +291,3 @@ def select_windows(is_affected: Bool[np.ndarray, " T"], rate: float) -> list[Fra
 def list_window_frames(windows: list[FrameWindow]) -> Int[np.ndarray, " N"]:
     """Return the indices of all frames of some windows."""
     return np.concatenate([np.arange(window.first, window.stop) for window in windows] or [np.zeros(0, int)])
-
-
-def _dilate(mask: Bool[np.ndarray, " T"], reach: int) -> Bool[np.ndarray, " T"]:
-    """Return the mask with `reach` further frames on either side of its runs."""
-    dilated = np.zeros_like(mask)
-    for first, last in find_runs(mask):
-        dilated[max(0, first - reach) : last + 1 + reach] = True
-    return dilated

@@ -2,7 +2,7 @@
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.kernels.small_matrices import solve_banded
 from mocapfix.kernels.viterbi import find_cheapest_states as find_cheapest_states
@@ -14,6 +14,19 @@ def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
     padded[1:-1] = mask
     edges: list[int] = np.flatnonzero(padded[1:] != padded[:-1]).tolist()
     return [(a, b - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def slide_windows(values: Shaped[np.ndarray, "T ..."], length: int) -> Shaped[np.ndarray, "T ... length"]:
+    """Return so many values, odd, about each of a sequence, which stays as at its ends (`scipy.ndimage` is slow to import)."""
+    padded = np.pad(values, [(length // 2, length // 2), *[(0, 0)] * (values.ndim - 1)], mode="edge")
+    return np.lib.stride_tricks.sliding_window_view(padded, length, axis=0)
+
+
+def smooth_values(values: Float[np.ndarray, "T ..."], sd: float, reach_sd: float = 4.0) -> Float[np.ndarray, "T ..."]:
+    """Return the averages of a sequence by weights of a normal distribution, up to so many standard deviations away."""
+    reach = int(reach_sd * sd + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sd) ** 2)
+    return slide_windows(values, 2 * reach + 1) @ (weights / weights.sum())
 
 
 DENSE_TRAINING_MARGIN_S = 0.6  # beside a gap; within it training frames are dense

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 
 from mocapfix.stats import sequences
 
@@ -31,3 +31,15 @@ def test_means_over_windows_are_those_of_scipy(window: int) -> None:
     np.testing.assert_allclose(
         sequences.average_windows(values, window), uniform_filter1d(values, window, axis=0, mode="nearest"), atol=1e-12
     )
+
+
+@pytest.mark.parametrize("frames", [1, 2, 20])
+def test_windows_and_smoothed_values_are_those_of_scipy(frames: int) -> None:
+    values = np.random.default_rng(0).normal(size=(frames, 3))
+    windows = sequences.slide_windows(values, 7)
+    np.testing.assert_array_equal(windows.max(-1), maximum_filter1d(values, 7, axis=0))
+    np.testing.assert_array_equal(windows.min(-1), minimum_filter1d(values, 7, axis=0))
+    np.testing.assert_array_equal(np.median(windows, axis=-1), median_filter(values, (7, 1), mode="nearest"))
+    for sd, reach_sd in ((0.5, 4.0), (3.0, 4.0), (2.0, 3.0)):
+        expected = gaussian_filter1d(values, sd, axis=0, mode="nearest", truncate=reach_sd)
+        np.testing.assert_allclose(sequences.smooth_values(values, sd, reach_sd), expected, atol=1e-12)
