@@ -152,6 +152,12 @@ def classify_points(
     listed, pattern = declared.model_outputs, MODEL_OUTPUT_PATTERN
     is_output = np.array([each in listed or pattern.fullmatch(strip_subject_prefix(each)) is not None for each in labels], bool)
     is_unlabelled_point = np.array([is_unlabelled(label) for label in labels], bool)
+    # beside named markers, those of a prop may have numbers only: "Box:1"
+    subjects = [label.rpartition(":")[0] for label in labels]
+    named = {subject for subject, is_number in zip(subjects, is_unlabelled_point, strict=True) if not is_number}
+    for n in np.flatnonzero(is_unlabelled_point) if named else ():
+        is_prop = subjects[n] not in named and not is_unlabelled(subjects[n])
+        is_unlabelled_point[n] = not (is_prop and labels[n].rpartition(":")[2].isdecimal())
     if (is_unlabelled_point | is_output).all():
         is_unlabelled_point &= [QUALISYS_NEW_PATTERN.fullmatch(strip_subject_prefix(label)) is None for label in labels]
     is_unlabelled_point &= ~is_output

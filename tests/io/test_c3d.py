@@ -215,8 +215,8 @@ def test_label_lists_over_several_parameters(tmp_path, processor):
 
 def test_unlabelled_points_and_model_outputs_are_not_markers(tmp_path):
     others = ["*12", "", "#", "Uname*1", "C_123", "17", "Jim:*3", "Unlabeled 20", "Jim:Crank", "LKneeAngles", "Jim:LHipMoment"]
-    others += ["Jim:PELO", "Jim:PELA", "Jim:PELL", "Jim:PELP", "CentreOfMass"]
-    markers = ["LFHD", "Jim:LANK", "Jim:Marker_1", "P1", "C7", "LP", "LA", "Genoux_C", "Jim:Stick 1"]
+    others += ["Jim:PELO", "Jim:PELA", "Jim:PELL", "Jim:PELP", "CentreOfMass", "Jim:5", "Unlabeled:7"]
+    markers = ["LFHD", "Jim:LANK", "Jim:Marker_1", "P1", "C7", "LP", "LA", "Genoux_C", "Jim:Stick 1", "Box:1", "Box:2"]
     labels = [*others, *markers]
     xyz = np.arange(1, 3 * len(labels) + 1, dtype=float).reshape(1, -1, 3)
     take = write_and_read(tmp_path, xyz, labels, extra={"POINT:SCALARS": ["Jim:Crank", "Other"]})
