@@ -130,14 +130,8 @@ def compute_weighted_deviations(
     fitted_frames: Int[np.ndarray, "N S"],
     weight: Float[np.ndarray, "N S"],
 ) -> Float[np.ndarray, "N M 3"]:
-    """Compute the deviations of markers in some frames from weighted means of their positions in other frames.
-
-    Args:
-        fitted_frames: For each of these, S other frame indices.
-        weight: The weights of the positions there; their sum is 1.
-
-    Returns:
-        The deviations in metres, NaN where a sample with a weight is missing.
+    """Return the deviations (m) of markers in some frames from means of their positions in S other frames, with weights of the
+    sum 1; NaN where a sample with a weight is missing.
     """
     is_used = weight != 0
     around = np.where(is_used[..., None, None], markers[fitted_frames], 0.0)
@@ -167,6 +161,7 @@ MIN_NOISE_M = 0.001
 MIN_JITTER_RATIO = 6.0  # smallest noise in a burst of jitter, in multiples of the median over the take
 MIN_JITTER_DURATION_S = 0.1  # duration of the shortest burst
 MAX_BURST_PAUSE_S = 0.025  # between a burst and spikes that belong to it; measured in composed takes of training people
+THIRD_DIFFERENCE = np.array([1.0, -3.0, 3.0, -1.0])  # the first of four samples relative to the parabola through the others
 CUBIC_RESIDUAL_M_PER_S2 = 30.0  # part of a body's motion that the cubic may leave. It matters at low frame rates only.
 
 
@@ -247,7 +242,7 @@ def detect_jitter(
             partners = memory.find_partners(take)
             if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0].tolist()], burst, threshold_m):
                 continue
-            burst = _include_spikes(burst, is_spike[:, m], 1 + MAX_BURST_PAUSE_S * take.rate)
+            burst = _extend_burst(burst, take.markers[:, m], is_spike[:, m], MAX_BURST_PAUSE_S * take.rate, threshold_m)
             duration_s = (burst.last - burst.first + 1) / take.rate
             usual = f"its usual noise is {usual_m * 1e3:.1f} mm"
             reason = f"{label} has jitter of {burst.amplitude_m * 1e3:.0f} mm for {duration_s:.2f} s; {usual}."
@@ -263,12 +258,16 @@ class _Burst(NamedTuple):
     amplitude_m: float
 
 
-def _include_spikes(burst: _Burst, is_spike: np.ndarray, max_step: float) -> _Burst:
-    """Return the burst with the spikes (T,) at its ends; up to `max_step` frames farther on is the next."""
+def _extend_burst(burst: _Burst, path: np.ndarray, is_spike: np.ndarray, reach: float, min_deviation_m: float) -> _Burst:
+    """Return the burst with spikes (T,) up to `reach` samples farther on, and with samples off the path (T, 3) beyond."""
     frames = np.union1d(np.flatnonzero(is_spike), np.arange(burst.first, burst.last + 1))
-    part = np.cumsum(np.diff(frames, prepend=frames[:1]) > max_step)
-    whole = frames[part == part[np.searchsorted(frames, burst.first)]]
-    return burst._replace(first=int(whole[0]), last=int(whole[-1]))
+    part = np.cumsum(np.diff(frames, prepend=frames[:1]) > reach + 1)
+    first, *_, last = frames[part == part[np.searchsorted(frames, burst.first)]].tolist()
+    for _ in range(int(reach)):
+        ends = path[max(first - 4, 0) : first][::-1], path[last + 1 : last + 5]
+        before, after = (len(end) == 4 and np.linalg.norm(THIRD_DIFFERENCE @ end) > min_deviation_m for end in ends)
+        first, last = first - int(before), last + int(after)
+    return burst._replace(first=first, last=last)
 
 
 def _measure_noise(take: Take, marker: int, is_usable: np.ndarray, min_noise_m: float) -> tuple[float, float, tuple[_Burst, ...]]:
