@@ -403,6 +403,7 @@ CMU_BONE_AXES_DEG = {
 FIXED_BONES = ("lhipjoint", "rhipjoint")  # without degrees of freedom, unless the motion rotates them
 ZYX_AXES = np.array([2, 1, 0])  # the outermost first
 MAX_JOINT_DISTANCE_M = 1e-7  # between joints that begin at the same position
+GAP_BONE_SUFFIX = "base"  # of a fixed bone from the end of a joint's parent to the joint
 AMC_DECIMALS = 6  # of every number
 ASF_HEADER = f"""\
 :version 1.10
@@ -430,7 +431,7 @@ def write_asf_amc(
     The AMC has the rate in hertz in a comment, because the format has no keyword for it.
 
     Raises:
-        WriteError: If joints on one bone do not begin at the same position, the motion is incomplete, or a file is not writable.
+        WriteError: If the motion is incomplete, or a file is not writable.
     """
     names = get_cmu_bone_names(skeleton)
     if not (np.isfinite(motion.root_position).all() and np.isfinite(motion.local_rotations).all()):
@@ -439,7 +440,7 @@ def write_asf_amc(
         name not in FIXED_BONES or not np.allclose(motion.local_rotations[:, joint], np.eye(3))
         for joint, name in enumerate(names)
     ]
-    bone_data = "".join(_build_bone_data(asf_target, skeleton, names, is_rotating))
+    bone_data = "".join(_build_bone_data(skeleton, names, is_rotating))
     asf = ASF_HEADER + bone_data + "".join(_build_hierarchy(skeleton, names))
     with replace_atomically(Path(asf_target)) as asf_part, replace_atomically(Path(amc_target)) as amc_part:
         asf_part.write_bytes(asf.encode("ascii"))
@@ -458,40 +459,42 @@ def get_bone_axes_deg(bone: str) -> tuple[float, float, float]:
     return (x, y, z) if bone[0] == "l" else (x, -y, -z)
 
 
-def _build_bone_data(asf_target: Path, skeleton: Skeleton, names: list[str], is_rotating: list[bool]) -> Iterator[str]:
-    """Yield the text of each bone except the root."""
+def _build_bone_data(skeleton: Skeleton, names: list[str], is_rotating: list[bool]) -> Iterator[str]:
+    """Yield the text of each bone except the root, and of the fixed one before it where it begins beside its parent's end."""
+    dof = "    dof rx ry rz\n    limits (-180.0 180.0)\n" + "           (-180.0 180.0)\n" * 2
+    gaps = _measure_gaps(skeleton)
     for joint, name in list(enumerate(names))[1:]:
-        tip = _compute_tip(asf_target, skeleton, joint) / CMU_LENGTH_UNIT_M
-        length = float(np.linalg.norm(tip))
-        direction = tip / length if length > 0 else np.array([0.0, 1.0, 0.0])
-        direction_text, axes_text = (
-            " ".join(f"{x + 0.0:.15g}" for x in vector) for vector in (direction, get_bone_axes_deg(name))
-        )
-        yield f"  begin\n     id {joint}\n     name {name}\n"
-        yield f"     direction {direction_text}\n     length {length:.15g}\n     axis {axes_text} XYZ\n"
-        if is_rotating[joint]:
-            yield "    dof rx ry rz\n    limits (-180.0 180.0)\n" + "           (-180.0 180.0)\n" * 2
-        yield "  end\n"
+        bones = [(joint, name, _find_tip(skeleton, joint), get_bone_axes_deg(name), dof * is_rotating[joint])]
+        if joint in gaps:
+            bones.insert(0, (len(names) + joint, name + GAP_BONE_SUFFIX, gaps[joint], (0.0, 0.0, 0.0), ""))
+        for number, bone, tip, axes, freedom in bones:
+            length = float(np.linalg.norm(tip))
+            direction = tip / length if length > 0 else np.array([0.0, 1.0, 0.0])
+            direction_text, axes_text = (" ".join(f"{x + 0.0:.15g}" for x in vector) for vector in (direction, axes))
+            yield f"  begin\n     id {number}\n     name {bone}\n     direction {direction_text}\n"
+            yield f"     length {length / CMU_LENGTH_UNIT_M:.15g}\n     axis {axes_text} XYZ\n{freedom}  end\n"
 
 
-def _compute_tip(asf_target: Path, skeleton: Skeleton, joint: int) -> Float[np.ndarray, " 3"]:
-    """Return the vector (m) from the beginning of a bone to its end: where its child joints begin, or the end site."""
+def _find_tip(skeleton: Skeleton, joint: int) -> Float[np.ndarray, " 3"]:
+    """Return the vector (m) from the beginning of a bone to its end: where its first child begins, or the end site."""
     children = np.flatnonzero(skeleton.parents == joint)
-    if not len(children):
-        return np.nan_to_num(skeleton.ends[joint])
-    tip = skeleton.offsets[children[0]]
-    for child in children[1:]:
-        if np.linalg.norm(skeleton.offsets[child] - tip) > MAX_JOINT_DISTANCE_M:
-            pair = f"{skeleton.names[child]} and {skeleton.names[children[0]]}"
-            raise WriteError(f"{asf_target}: {pair} do not begin at the same position, as bones on one bone of an ASF must.")
-    return tip
+    return skeleton.offsets[children[0]] if len(children) else np.nan_to_num(skeleton.ends[joint])
+
+
+def _measure_gaps(skeleton: Skeleton) -> dict[int, Float[np.ndarray, " 3"]]:
+    """Return by joint the vector (m) from the end of its parent, which is a point if it is the root, if it begins elsewhere."""
+    parents = skeleton.parents.tolist()
+    gaps = {j: skeleton.offsets[j] - (_find_tip(skeleton, p) if p else 0.0) for j, p in enumerate(parents) if p >= 0}
+    return {joint: gap for joint, gap in gaps.items() if np.linalg.norm(gap) > MAX_JOINT_DISTANCE_M}
 
 
 def _build_hierarchy(skeleton: Skeleton, names: list[str]) -> Iterator[str]:
+    gaps = _measure_gaps(skeleton)
     yield ":hierarchy\n  begin\n"
     for joint, name in enumerate(names):
         if len(children := np.flatnonzero(skeleton.parents == joint)):
-            yield f"    {name} {' '.join(names[child] for child in children)}\n"
+            yield f"    {name} {' '.join(names[child] + GAP_BONE_SUFFIX * (child in gaps) for child in children)}\n"
+            yield from (f"    {names[child]}{GAP_BONE_SUFFIX} {names[child]}\n" for child in children if child in gaps)
     yield "  end\n"
 
 
