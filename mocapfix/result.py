@@ -64,7 +64,7 @@ def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> li
         if each not in (BVH_FORMAT, *DEFAULT_FORMATS) and each.suffix not in get_source_suffixes(take.path)
     ]
     notes = [f"{each.suffix} {each.usage_note}" for each in requested if each.usage_note and (has_body or not each.needs_body)]
-    reason = "the joints could not be identified" if is_animation else "the take has no body"
+    reason = f"the {'animation' if is_animation else 'take'} has no body"
     notes += [f"{each.suffix} is not written: {reason}." for each in requested if each.needs_body and not has_body]
     if isinstance(take.layout, TableLayout) and not take.layout.has_field_per_sample:
         kind = "is JSON" if take.path is not None and take.path.suffix.lower() == ".json" else "lists only visible markers"

@@ -376,6 +376,8 @@ def clean_animation(
                 body_motion = body.compute_motion(repaired.animation, repaired.joint_take)
             contact_notes += describe_contacts(contacts, contacts.held_feet.mode, options.output.floor_height_m, JOINT_TERMS)
     before, after = repaired.tips_before, repaired.tips_after
+    is_moving = np.arange(animation.frame_count)[:, None] >= int(animation.has_reference_pose)
+    contact_notes += notes.describe_frame_steps(repaired.joint_take.masked(is_moving))
     report: Report = {
         "take": build_report.build_take_section(repaired.joint_take, None),
         "faults": build_report.build_fault_entries(before, repaired.faults),

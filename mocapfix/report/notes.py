@@ -27,7 +27,7 @@ from mocapfix.model.skeleton import BODY_SECTIONS
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.report.report import RigidGroupEntry
-from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range
+from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range, get_point_terms
 from mocapfix.solve.lost_in_sight import BODY_PARTS, LostPart, find_lost_parts
 from mocapfix.stats.sequences import find_runs
 
@@ -302,7 +302,7 @@ MIN_ABSENT_S = 0.5
 
 def describe_frame_steps(take: Take) -> list[str]:
     """Return notes on frames that no camera recorded so: all markers jump at once, repeat a frame, or are missing."""
-    counts = np.zeros(take.frame_count, int)
+    counts, terms = np.zeros(take.frame_count, int), get_point_terms(take)
     is_far, is_same, is_moving = (np.zeros(take.frame_count, bool) for _ in range(3))  # the step to each frame
     for start in range(0, take.frame_count, 4096):  # a long take lies on disk
         markers = np.array(take.markers[max(start - 2, 0) : start + 4096])
@@ -323,12 +323,12 @@ def describe_frame_steps(take: Take) -> list[str]:
     count = sum(last + 1 - first for first, last in held)
     at = join_words([f"{take.get_frame_number(int(jump))}" for jump in jumps[:MAX_LISTED_RANGES]])
     more = f" and {len(jumps) - MAX_LISTED_RANGES:,} more" if len(jumps) > MAX_LISTED_RANGES else ""
-    where = f"All markers jump at frame{'s' * (len(jumps) > 1)} {at}{more}: frames are missing before, or takes were joined"
+    where = f"All {terms.points} jump at frame{'s' * (len(jumps) > 1)} {at}{more}: frames are missing before, or takes are joined"
     what = f"{count:,} {'frame repeats' if count == 1 else 'frames repeat'} the frame before ({frames[0]}) while the body moves"
     return [
         *[f"{where}. Cut the take there: fills and motion beside it are not reliable."] * bool(len(jumps)),
         *[f"{what}: the recording was held, or its rate was raised (--rate)."] * bool(count),
-        *[f"No marker is visible in frames {frames[1]}: any motion there is a guess."] * bool(absent),
+        *[f"No {terms.point} is visible in frames {frames[1]}: any motion there is a guess."] * bool(absent),
     ]
 
 

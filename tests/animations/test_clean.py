@@ -206,6 +206,22 @@ def test_held_limb_with_an_uncertain_repair_is_reported(walk, mocapfix, tmp_path
     np.testing.assert_array_equal(bvh.read_bvh(tmp_path / "held.mocapfix" / "held.bvh").values, values)
 
 
+@pytest.mark.parametrize("fault", ["none", "repeated frames", "joined takes", "reference pose"])
+def test_frames_that_no_recording_has_are_reported(walk, tmp_path, fault):
+    values = walk.truth.values.copy()
+    if fault == "repeated frames":
+        values[1::2] = values[::2]
+    elif fault == "joined takes":
+        values[200:, walk.truth.get_position_channels(0)[0]] += 150.0
+    elif fault == "reference pose":
+        values[0] = 0.0
+    patch_animation(tmp_path / "walk.bvh", walk.truth, values)
+    notes = pipeline.clean(tmp_path / "walk.bvh", prior="none").subject_report["notes"]
+    assert sum("frames repeat the frame before" in note for note in notes) == (fault == "repeated frames")
+    assert sum(note.startswith("All joints jump at frame 201:") for note in notes) == (fault == "joined takes")
+    assert not any("jump at" in note for note in notes) or fault == "joined takes"
+
+
 def test_html_report_uses_terms_for_joints(walk):
     page = re.sub(r"(?s)<(style|script)\b.*?</\1>", " ", walk.outputs["report.html"].read_text(encoding="utf-8"))
     text = unescape(re.sub(r"<[^>]+>", " ", page))

@@ -96,7 +96,7 @@ def test_jumps_repeats_and_absences_of_all_markers_are_named_with_their_frames(r
     assert describe_frame_steps(take) == []
     markers[4094:, :7] += [0.0, 0.0, 0.4]  # one marker of eight stays
     assert describe_frame_steps(take) == [
-        "All markers jump at frame 4195: frames are missing before, or takes were joined. Cut the take there: fills and motion "
+        "All markers jump at frame 4195: frames are missing before, or takes are joined. Cut the take there: fills and motion "
         "beside it are not reliable."
     ]
     markers[4094:, :7] -= [0.0, 0.0, 0.4]
