@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.errors import ReadError
+from mocapfix.errors import ReadError, format_name_list
 from mocapfix.io.conventions import Convention, DeclaredConvention, decide_convention
 from mocapfix.io.coordinates import METRES_PER_UNIT, find_valid_points, get_metres_per_unit, inspect_points
 from mocapfix.io.file_content import NOT_A_NUMBER_PATTERN, TextDocument
@@ -238,11 +238,19 @@ def read_marker_table(table: MarkerTable, options: ReadOptions) -> Take:
     )
     rows_file = numbers[:, : field_indices.size].reshape(len(line_indices), -1, 3)
     visible = find_valid_points(rows_file)
+    is_part = np.isfinite(rows_file).any(2) & np.isnan(rows_file).any(2)
+    parts = format_name_list([table.labels[p] for p in np.flatnonzero(is_part.any(0)).tolist()])
+    part_notes = [f"Samples without all three coordinates are read as missing: {parts} ({is_part.sum():,} in all)."] * bool(
+        is_part.any()
+    )
     layout = _build_table_layout(table, decimal_sign, visible)
     counted = parse_whole_number(table.declared_frame_count) == frames.frame_count
     count_notes = () if counted else check_frame_count(table.declared_frame_count, len(line_indices))
     points, layout = frames.spread_rows(rows_file), replace(layout, line_indices=frames.spread_rows(layout.line_indices, -1))
-    known, notes = (frames.rate, frames.first_frame, table.default_up_axis), (*table.notes, *count_notes, *frames.notes)
+    known, notes = (
+        (frames.rate, frames.first_frame, table.default_up_axis),
+        (*table.notes, *part_notes, *count_notes, *frames.notes),
+    )
     take = build_take(document.path, points, table.labels, layout, *known, notes=notes, options=options)
     assert isinstance(take.layout, TableLayout)
     if take.layout.unit_m == table.unit_m:

@@ -167,6 +167,8 @@ def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
             marker_table.parse_fields(document, inspected, delimiter, decimal_sign, field_indices.ravel())
         )
         notes = (note,)
+    incomplete = dict.fromkeys(match[1] for i in others if (match := COLUMN_PATTERN.fullmatch(cells[i])))
+    notes += (f"Not read, without X, Y and Z side by side: {format_name_list([*incomplete])}.",) * bool(incomplete)
     unit_of_time = TIME_UNIT_PATTERN.fullmatch(cells[time_field]) if time_field is not None else None
     times_s = zip(unit_of_time.groups() if unit_of_time else (), TIME_PATTERN_UNITS_S, strict=False)
     time_unit_s = next((unit_s for group, unit_s in times_s if group), None)

@@ -62,6 +62,20 @@ def test_markers_after_the_end_of_a_line_are_missing(tmp_path):
     assert take.visible[[0, 2, 3]].all()
 
 
+def test_what_lacks_a_coordinate_is_named(tmp_path):
+    lines = trc().split("\r\n")
+    lines[7] = "\t".join(lines[7].split("\t")[:4])
+    take = write_and_read(tmp_path, "\r\n".join(lines))
+    assert take.notes == (f"Samples without all three coordinates are read as missing: {LABELS[0]} (1 in all).",)
+    columns = [f"{label}_{axis}" for label in LABELS for axis in "XYZ"]
+    rows = [f"{n / 100:.2f}," + ",".join(f"{x:.3f}" for x in frame.ravel()) for n, frame in enumerate(STANDING)]
+    columns[5] = "Force"  # the Z of the second marker
+    (tmp_path / "walk.csv").write_text("\n".join([",".join(["time", *columns]), *rows]), encoding="utf-8")
+    take = capture.read_take(tmp_path / "walk.csv")
+    assert take.labels == (LABELS[0], LABELS[2])
+    assert f"Not read, without X, Y and Z side by side: {LABELS[1]}." in take.notes
+
+
 def test_exponents_decimal_commas_and_trailing_tabs(tmp_path):
     text = trc().replace("1700.000", "1.7E+03").replace(".", ",").replace("\r\n", "\t\t\r\n").replace("walk,trc", "walk.trc")
     np.testing.assert_allclose(write_and_read(tmp_path, text).markers, Y_UP, atol=1e-12)
