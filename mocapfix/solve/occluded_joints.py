@@ -129,11 +129,11 @@ def predict_hidden_joints(
 
     None if it predicts no such gap, or if the body is lost in it or beside it: no known pose then ends the gap.
     """
-    first, last, has_body = int(frames[0]), int(frames[-1]), motion.has_body[:, None]
-    is_known = has_body & ~motion.is_unobserved
-    is_known[np.ix_(frames, hidden)] = False
-    context = GapContext(motion.root_position, motion.local_rotations, is_known, first, last, motion.rate).crop()
-    prediction = predict_shipped_gap(context, size_ratio) if has_body[max(0, first - 1) : last + 2].all() else None
+    first, last = int(frames[0]), int(frames[-1])
+    near = GapContext(motion.root_position, motion.local_rotations, ~motion.is_unobserved, first, last, motion.rate).crop()
+    has_body = motion._replace(is_unobserved=~near.is_known).has_body
+    near.is_known[~has_body] = near.is_known[near.frames, hidden] = False
+    prediction = predict_shipped_gap(near, size_ratio) if has_body[max(0, near.first - 1) : near.last + 2].all() else None
     return prediction and prediction.select_joints(hidden)
 
 
