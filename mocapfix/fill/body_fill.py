@@ -143,8 +143,8 @@ class PredictedPlacement(BodyPlacement):
             if k >= 0:
                 placed = places[:, row] + np.einsum("sab,sb->sa", rotations[:, joint], residual[k])
                 error[k] = BODY_ERROR_RATIO * (placed - self.take.visible_markers[w.hidden_frames[k], gap.marker])
-        known = error[~np.isnan(error)]  # the body's deviation is that of the inferred pose, which can be far smaller
-        expected_sd = np.maximum(estimate.expected_sd, np.sqrt((known**2).mean())) if len(known) else estimate.expected_sd
+        shown_sd = np.sqrt(np.nansum(error**2) / max(np.count_nonzero(~np.isnan(error)), 1))  # an inferred pose's can be far less
+        expected_sd = np.maximum(estimate.expected_sd / BODY_ERROR_RATIO, shown_sd)  # measured errors raised an inferred pose's
         return [estimate._replace(error=error, expected_sd=expected_sd, evidence=1.0)]
 
     def predict_places(self, window: GapWindow) -> dict[int, Places]:

@@ -131,15 +131,20 @@ def test_preview_carries_the_residual_across_a_gap_and_leaves_segments_that_no_m
     assert np.isnan(position[100:200, unseen]).all()
 
 
-def predict(scene, first, lost_labels=ARM_LABELS, *, has_motion_prior=True, turned_rad=0.0):
-    """Return the estimator and the gap of a wrist from a frame on in which an arm is lost, its joints turned by an angle."""
+def predict(scene, first, lost_labels=ARM_LABELS, *, has_motion_prior=True, turned_rad=0.0, pose_sd_m=0.0):
+    """Return the estimator and the gap of a wrist from a frame on in which an arm is lost, its joints turned by an angle.
+
+    Its pose says how uncertain it is.
+    """
     subject, motion, on_body, _ = scene
     lost, frames = [subject.labels.index(label) for label in lost_labels], slice(first, first + 30)
     damaged, local_rotations = on_body.copy(), motion.local_rotations.copy()
     damaged[frames, lost] = np.nan
     hidden = np.unique(subject.joints[lost])
     local_rotations[frames, hidden] @= compute_rotations(np.array([turned_rad, 0.0, 0.0]))
-    body = build_body(scene, damaged, replace(motion, local_rotations=local_rotations))
+    marker_sd = motion.marker_sd.copy()
+    marker_sd[frames, lost] = np.maximum(marker_sd[frames, lost], pose_sd_m)
+    body = build_body(scene, damaged, replace(motion, local_rotations=local_rotations, marker_sd=marker_sd))
     nothing = np.zeros((len(damaged), 1))
     evidence = PoseEvidence(nothing, nothing, nothing, nothing[:, 0])
     take = build_take(damaged, rate=RATE, body=replace(body, evidence=evidence, has_motion_prior=has_motion_prior))
@@ -157,6 +162,8 @@ def test_motion_prior_is_tried_in_hidden_stretches_as_in_the_gap(scene):
     np.testing.assert_allclose(estimate.error[-1], BODY_ERROR_RATIO * error, atol=1e-6)
     assert np.isnan(estimate.error).any((1, 2)).sum() == len(estimate.error) - 4
     assert (estimate.expected_sd >= np.sqrt(np.nanmean(estimate.error**2))).all()
+    estimator, gap = predict(scene, 40, pose_sd_m=0.3)
+    assert 0.2 < estimator(gap)[0].expected_sd[3] < 0.3  # no more than the inferred pose says
 
 
 def test_what_else_is_known_of_hidden_joints_does_not_matter_to_the_motion_prior(scene):
