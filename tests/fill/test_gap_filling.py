@@ -148,7 +148,7 @@ def test_uncertain_samples_stay_empty_with_a_reason(rod):
     take = remove_samples(rod, (0, 100, 180))
     after, left = fill(take, FillOptions(max_sd_m=1e-6))
     assert not after.visible[100:181, 0].any()
-    assert next(each for each in left if each.marker == 0).reason == "its predicted standard deviation exceeds 0 mm"
+    assert next(each for each in left if each.marker == 0).reason == "its predicted standard deviation exceeds 0.001 mm"
 
 
 def test_unfilled_runs_are_exactly_the_missing_samples(rod):
