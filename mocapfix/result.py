@@ -78,6 +78,9 @@ def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> li
     if has_body and options.floor_height_m:
         other = "the cleaned file" if is_animation else "the markers"
         notes.append(f"Motion files are {options.floor_height_m:g} m lower than {other}, so that their floor is at height 0.")
+    first, last = take.get_frame_number(0), take.get_frame_number(take.frame_count - 1)
+    if options.trim and (options.trim[0] < first or options.trim[1] > last):
+        notes.append(f"--trim names frames that {take.name} does not have; it has {first} to {last}.")
     return notes
 
 

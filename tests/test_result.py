@@ -18,7 +18,7 @@ from mocapfix.io.text_tables import write_trc
 from mocapfix.model.take import TableLayout
 from mocapfix.options import RIG_NAMES, OutputOptions, build_clean_options
 from mocapfix.output_formats import OPTIONAL_FORMATS, list_output_formats
-from mocapfix.result import CleaningResult, list_clean_arguments
+from mocapfix.result import CleaningResult, build_output_notes, list_clean_arguments
 from mocapfix.solve.parallel import second_process
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.conftest import FIRST_FRAME
@@ -245,6 +245,13 @@ def test_files_are_named_relative_to_the_outputs(tmp_path: Path, monkeypatch: py
     assert arguments[1:] == ["--marker-set", "../../set.yaml", "--subject", "Jim=../../jim.yaml,Ann=../../ann.yaml"]
     options = build_clean_options(subject="jim.yaml", review_files=("set.yaml",))
     assert list_clean_arguments(Path("walk.c3d"), options, Path("out"), "walk") == ["../walk.c3d", "--subject", "../jim.yaml"]
+
+
+@pytest.mark.parametrize(("trim", "is_noted"), [((301, 310), False), ((300, 310), True), ((301, 100000), True), (None, False)])
+def test_trim_beyond_the_take_is_reported(cleaned, trim, is_noted):
+    take = replace(cleaned.result.input_take, first_frame=301)
+    notes = build_output_notes(OutputOptions(trim=trim, characters=("mixamo",)), take, has_body=True)
+    assert any(note.startswith("--trim names frames that") for note in notes) == is_noted
 
 
 def test_arguments_are_in_the_report(tmp_path: Path) -> None:

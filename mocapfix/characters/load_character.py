@@ -204,6 +204,9 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
         if names := [skeleton.names[bone] for bone in moved] + strays:
             sentence = f"The body moves {format_name_list(names)}, though none of its bones carries them."
             character = replace(character, mapping=character.mapping.add_sentence(sentence))
+        if character.source is not None and character.source.kind == "bvh":  # which does not state its unit
+            sentence = f"Its unit is taken as {character.root_scale * 1e3:.4g} mm, by its height."
+            character = replace(character, mapping=character.mapping.add_sentence(sentence))
         return character
 
     character = _choose_skeleton(skeletons, assign, rest_frame)

@@ -1,9 +1,10 @@
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mocapfix.characters.load_character import read_character_skeletons
+from mocapfix.characters.load_character import load_character, read_character_skeletons
 from mocapfix.errors import ReadError
 from mocapfix.io.bvh import write_bvh
 from mocapfix.model.motion import Motion
@@ -35,6 +36,13 @@ def test_the_rest_pose_is_that_of_the_offsets(tmp_path, motion):
     np.testing.assert_allclose(character.skeleton.ends[knee], SKELETON.offsets[SKELETON.find_joint("LeftFoot")], atol=1e-6)
     assert character.source is not None
     assert character.source.kind == "bvh"
+
+
+@pytest.mark.parametrize(("unit_m", "scale", "unit"), [(0.01, 1.0, "10 mm"), (1.0, 1.0, "1000 mm"), (0.01, 0.5, "25.4 mm")])
+def test_unit_is_reported(tmp_path, motion, unit_m, scale, unit):
+    skeleton = replace(SKELETON, offsets=SKELETON.offsets * scale, ends=SKELETON.ends * scale)
+    write_bvh(tmp_path / "walk.bvh", skeleton, motion, 120.0, unit_m)
+    assert f"Its unit is taken as {unit}, by its height." in load_character(tmp_path / "walk.bvh").mapping.reason
 
 
 Z_UP = """HIERARCHY
