@@ -59,12 +59,7 @@ class BodyResiduals:
 def compute_body_residuals(
     subject_take: Take, solver_mask: Bool[np.ndarray, "T K"], subject: Subject, motion: Motion
 ) -> BodyResiduals:
-    """Compute the residuals of a subject's markers from the solved body.
-
-    Args:
-        subject_take: The take's markers in the subject's order.
-        solver_mask: The samples that the solve used.
-    """
+    """Compute the residuals of a subject's markers, in its order, from the solved body."""
     position, rotation = kinematics.compute_world_poses(subject.skeleton, motion)
     markers = subject_take.markers
     residual = np.empty_like(markers.swapaxes(0, 1), order="C").swapaxes(0, 1)  # path after path
@@ -309,12 +304,7 @@ MIN_SHARED_FRACTION = 0.5  # smallest fraction of an outlier's frames in which o
 
 
 def is_body_wrong(outlier: BodyOutlier, residuals: BodyResiduals, distances: MarkerDistances) -> bool:
-    """Return whether the body is wrong where a marker lies off it, rather than the marker.
-
-    Args:
-        outlier: The samples off the body.
-        distances: The usual distances between these markers.
-    """
+    """Return whether the body is wrong where a marker lies off it, rather than the marker."""
     visible = np.flatnonzero(~np.isnan(residuals.measured_world[:, outlier.marker, 0]))
     before, after = visible[visible < outlier.first], visible[visible > outlier.last]
     ends = [(int(outlier.frames[0]), int(before[-1]))] if len(before) else []
@@ -333,14 +323,8 @@ def is_body_wrong(outlier: BodyOutlier, residuals: BodyResiduals, distances: Mar
 def measure_leaps_from_neighbours(
     markers: Float[np.ndarray, "T M 3"], distances: MarkerDistances, marker: int, ends: Int[np.ndarray, "E 2"]
 ) -> Float[np.ndarray, " E"]:
-    """Measure by how far a marker leaps relative to its neighbours between pairs of frames.
-
-    Args:
-        distances: The usual distances between the markers.
-        ends: Pairs of frame indices, in both of which the marker is visible.
-
-    Returns:
-        The distances in metres from where its neighbours carry it, NaN where they do not determine it.
+    """Return the distances in metres of a marker from where its neighbours carry it between pairs of frames that show it, NaN
+    where they do not determine it.
     """
     leap_m = np.full(len(ends), np.nan)
     is_known = distances.partner[marker] >= 0

@@ -123,12 +123,7 @@ class SetTrial:
 
 
 def select_consistent_set(marker_set: MarkerSet, without_set: Detected, with_set: Detected) -> MarkerSet | None:
-    """Return a learned set if its body contradicts hardly any sample, else a part of it that may not; None if there is none.
-
-    Args:
-        without_set: What is detected in the take without the set.
-        with_set: What is detected with it.
-    """
+    """Return a learned set if its body contradicts hardly any sample, else a part of it that may not; None if there is none."""
     trial = compare_detections(without_set, with_set, marker_set.find_columns(without_set.take.labels))
     if trial.is_passed:
         return marker_set

@@ -53,15 +53,7 @@ def _build_polynomial_basis(degree: int, length: int) -> Float[np.ndarray, "leng
 
 
 def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: int, resolution: float) -> list[tuple[int, int]]:
-    """Find the longest stretches of at least `length` samples that one polynomial fits to the resolution.
-
-    Args:
-        length: Smallest number of samples.
-        resolution: Resolution of the coordinates in metres.
-
-    Returns:
-        The first and the last index of each stretch.
-    """
+    """Return the longest stretches (first, last) of at least `length` samples that one polynomial fits to the resolution in m."""
     if len(path) < length:
         return []
     # The finite difference of order degree + 1, with samples as far apart as fit, vanishes for such a polynomial.

@@ -180,14 +180,7 @@ def check_visible_markers(detected: Detected) -> None:
 def detect_on_trajectories(
     take: Take, marker_set: MarkerSet | None, subject: Subject | None, review: FaultReview, options: CleanOptions
 ) -> Detected:
-    """Detect faults in the trajectories of a take and correct its labels. The corrections of a reviewer come first.
-
-    Args:
-        take: The take as it was read.
-        subject: The subject from an earlier calibration, if it is known.
-        review: What a reviewer decided.
-        options: Those of detection and `fill.refill`.
-    """
+    """Detect faults in the trajectories of a take and correct its labels. The corrections of a reviewer come first."""
     if marker_set and marker_set.point_sd:
         return detect_on_keypoints(take, marker_set, review, options)
     label_faults = list(review.label_corrections)

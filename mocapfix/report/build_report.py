@@ -316,14 +316,7 @@ def build_fill_section(
 def build_report(
     take: Take, subject: SubjectChoice, body: notes.SolvedBody | None, decided: Decided, options: CleanOptions, timer: StageTimer
 ) -> json_report.Report:
-    """Return the report: what was wrong, what was changed, what stays empty, and notes for the technician.
-
-    Args:
-        take: The take as it was read.
-        body: The body that was solved; None without a marker set.
-        decided: The cleaned take, its faults and its changes.
-        timer: The times of all stages before.
-    """
+    """Return the report on a take as it was read: what was wrong, was changed and stays empty, and notes for the technician."""
     detected, solve, body_notes = decided.detected, None, list[str]()
     if body:
         prior, start = options.prior.name_used, options.initialise.method_used

@@ -223,12 +223,7 @@ def list_frame_ranges(runs: Sequence[tuple[int, int]], first_frame: int) -> str:
 
 
 def describe_lost_part(take: Take, part: LostPart, inlier_mask: Bool[np.ndarray, "T M"]) -> str:
-    """Return a note on a part of the body that the solve lost in sight: frames, distance, and what was assumed of its markers.
-
-    Args:
-        part: The part, with the samples of the take's markers.
-        inlier_mask: The samples of the take that are not taken for faults.
-    """
+    """Return a note on a part of the body that the solve lost in sight: frames, distance, and what was assumed of its markers."""
     listed = list_frame_ranges(find_runs(part.frames), take.get_frame_number(0))
     frames = "1 frame" if part.frame_count == 1 else f"{part.frame_count:,} frames"
     labels = format_name_list([take.labels[m] for m in np.flatnonzero(part.markers.any(0))], MAX_LISTED_PART_LABELS)
