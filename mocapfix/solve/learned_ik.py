@@ -18,14 +18,7 @@ from safetensors import SafetensorError, safe_open
 
 from mocapfix.errors import SceneError
 from mocapfix.io.shipped import find_shipped_folder
-from mocapfix.kernels.pose_transfer import (
-    FEATURES_PER_JOINT,
-    TransferredPoses,
-    TransferTree,
-    correct_pose_frames,
-    smooth_position_joints,
-    transfer_pose_frames,
-)
+from mocapfix.kernels import pose_transfer
 from mocapfix.model.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.parallel import run_over_frames
@@ -61,7 +54,7 @@ def load_shipped_ik_network() -> Perceptron:
 def read_ik_network(path: Path) -> Perceptron:
     """Read learned inverse kinematics. Raises SceneError, naming the file, if it is not a network for the 31 joints."""
     joints = len(load_cmu31_skeleton().names)
-    return read_perceptron(path, IK_KIND, FEATURES_PER_JOINT * joints, 3 * joints + 3)
+    return read_perceptron(path, IK_KIND, pose_transfer.FEATURES_PER_JOINT * joints, 3 * joints + 3)
 
 
 def read_perceptron(path: Path, kind: str, input_count: int, output_count: int) -> Perceptron:
@@ -103,7 +96,7 @@ MIN_THREADED_FRAMES = 64  # fewer are computed sooner than threads are given the
 HELD_JOINTS = ("LHipJoint", "RHipJoint")  # without length: redundant with the thighs
 
 
-def build_transfer_tree(skeleton: Skeleton) -> TransferTree:
+def build_transfer_tree(skeleton: Skeleton) -> pose_transfer.TransferTree:
     """Return a skeleton with the joints of CMU's for the kernels."""
     names = skeleton.names
     bone_end = np.array([names.index(BONE_ENDS[name]) if name in BONE_ENDS else -1 for name in names])
@@ -111,33 +104,33 @@ def build_transfer_tree(skeleton: Skeleton) -> TransferTree:
     offsets, is_held = np.ascontiguousarray(skeleton.offsets, float), np.array([name in HELD_JOINTS for name in names])
     cloud_joints = np.array([names.index(name) for cloud in clouds for name in cloud])
     variances, starts = np.array([sd**2 for cloud in clouds for sd in cloud.values()]), np.cumsum([0, *map(len, clouds)])
-    return TransferTree(skeleton.parents, offsets, bone_end, starts, cloud_joints, variances, is_held)
+    return pose_transfer.TransferTree(skeleton.parents, offsets, bone_end, starts, cloud_joints, variances, is_held)
 
 
 def transfer_poses(
-    tree: TransferTree, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"]
-) -> tuple[TransferredPoses, Float32[np.ndarray, "T F"]]:
+    tree: pose_transfer.TransferTree, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"]
+) -> tuple[pose_transfer.TransferredPoses, Float32[np.ndarray, "T F"]]:
     """Return start poses brought to joint positions in metres, NaN where unknown, and the inputs of the network."""
     frames, joints = positions.shape[:2]
     shapes = (frames, 3), (frames, joints, 3), (frames, joints, 3, 3), (frames, joints, 3), (frames, joints), (frames,)
-    out = TransferredPoses(*map(np.empty, shapes))
-    features = np.empty((frames, joints * FEATURES_PER_JOINT), np.float32)
+    out = pose_transfer.TransferredPoses(*map(np.empty, shapes))
+    features = np.empty((frames, joints * pose_transfer.FEATURES_PER_JOINT), np.float32)
     inputs = (np.ascontiguousarray(each, float) for each in (*start, positions, joint_sd))
     scale = float(np.linalg.norm(tree.offsets))
-    _run(transfer_pose_frames, frames, tree, *inputs, scale, out, features)
+    _run(pose_transfer.transfer_pose_frames, frames, tree, *inputs, scale, out, features)
     return out, features
 
 
 def correct_poses(
-    tree: TransferTree,
+    tree: pose_transfer.TransferTree,
     start_rotations: Float[np.ndarray, "T J 3 3"],
-    transferred: TransferredPoses,
+    transferred: pose_transfer.TransferredPoses,
     corrections: Float32[np.ndarray, "T C"],
 ) -> Poses:
     """Return root positions in metres and local rotations, with the corrections of the network."""
     root, local = np.empty((len(corrections), 3)), np.empty(start_rotations.shape)
     inputs = np.ascontiguousarray(start_rotations, float), transferred, corrections
-    _run(correct_pose_frames, len(root), tree, *inputs, root, local)
+    _run(pose_transfer.correct_pose_frames, len(root), tree, *inputs, root, local)
     return root, local
 
 
@@ -170,7 +163,9 @@ def smooth_positions(
     smoothed, smoothed_sd = np.empty(positions.shape), np.empty(positions.shape[:2])
     inputs = (np.ascontiguousarray(each, float) for each in (positions, joint_sd))
     density = np.array([get_acceleration_density(name) for name in load_cmu31_skeleton().names])
-    run_over_frames(smooth_position_joints, positions.shape[1], *inputs, density, 1 / rate_hz, smoothed, smoothed_sd)
+    run_over_frames(
+        pose_transfer.smooth_position_joints, positions.shape[1], *inputs, density, 1 / rate_hz, smoothed, smoothed_sd
+    )
     smoothed[smoothed_sd > MAX_SMOOTHED_SD_M] = np.nan
     return smoothed, smoothed_sd
 

@@ -20,23 +20,11 @@ from mocapfix.model.skeleton import BodyModel
 from mocapfix.model.subject import Subject
 from mocapfix.model.take import Take
 from mocapfix.options import SolveOptions
+from mocapfix.solve import terms
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.solve.minimise import PoseSolution, SolverSettings, compute_costs, compute_uncertainty, minimise
 from mocapfix.solve.parallel import SolveOrder
-from mocapfix.solve.terms import (
-    BodyTerms,
-    JointLimitTerm,
-    KinematicTree,
-    MarkerAttachment,
-    PointTerm,
-    PosePriorTerm,
-    TrackingTerm,
-    build_joint_limit_term,
-    build_marker_term,
-    build_no_tracking,
-    build_pose_prior_term,
-)
 from mocapfix.stats.sequences import find_runs, slide_windows
 
 GAP_BORDER_S = 0.05  # time before and after its gaps for which a marker is ignored
@@ -100,23 +88,23 @@ follows its markers may then turn across the elbow's hinge, as skin and a wrong 
 class PoseProblem:
     """The cost of a take's poses."""
 
-    tree: KinematicTree
-    attachment: MarkerAttachment
+    tree: terms.KinematicTree
+    attachment: terms.MarkerAttachment
     marker_positions: Float[np.ndarray, "T K 3"]  # metres, the subject's markers, NaN where missing or rejected
     solver_mask: Bool[np.ndarray, "T K"]  # bool: samples that the pose is fitted to; none of them NaN
     marker_sd: float  # metres, standard deviation per axis of a marker about its place
-    pose_prior: PosePriorTerm  # the prior of every frame about the mean pose
-    joint_limits: JointLimitTerm
+    pose_prior: terms.PosePriorTerm  # the prior of every frame about the mean pose
+    joint_limits: terms.JointLimitTerm
 
     @cached_property
-    def point_term(self) -> PointTerm:
-        return build_marker_term(self.attachment, self.marker_positions, self.solver_mask, self.marker_sd)
+    def point_term(self) -> terms.PointTerm:
+        return terms.build_marker_term(self.attachment, self.marker_positions, self.solver_mask, self.marker_sd)
 
     def select_frames(self, frames: Int[np.ndarray, " N"] | slice) -> "PoseProblem":
         return replace(self, marker_positions=self.marker_positions[frames], solver_mask=self.solver_mask[frames])
 
-    def build_terms(self, tracking: TrackingTerm | None = None) -> BodyTerms:
-        return self.point_term, tracking or build_no_tracking(len(self.tree.parents)), self.pose_prior, self.joint_limits
+    def build_terms(self, tracking: terms.TrackingTerm | None = None) -> terms.BodyTerms:
+        return self.point_term, tracking or terms.build_no_tracking(len(self.tree.parents)), self.pose_prior, self.joint_limits
 
     def normalise_robust_scales(self, scales_m: tuple[float, ...]) -> tuple[float, ...]:
         """Return robust scales for the kernels: squared, in units of marker_sd."""
@@ -126,7 +114,7 @@ class PoseProblem:
         self,
         start: Poses,
         scales_m: tuple[float, ...],
-        tracking: TrackingTerm | None = None,
+        tracking: terms.TrackingTerm | None = None,
         *,
         max_iterations: int = MAX_ITERATIONS_PER_SCALE,
         damping_ratio: float = POSE_DAMPING_RATIO,
@@ -136,7 +124,7 @@ class PoseProblem:
         settings = SolverSettings(self.normalise_robust_scales(scales_m), max_iterations, damping_ratio, order)
         return minimise(self.tree, self.build_terms(tracking), start, settings)
 
-    def compute_uncertainty(self, poses: Poses, scale_m: float, tracking: TrackingTerm | None = None) -> PoseUncertainty:
+    def compute_uncertainty(self, poses: Poses, scale_m: float, tracking: terms.TrackingTerm | None = None) -> PoseUncertainty:
         """Return the uncertainty of poses at one robust scale."""
         return compute_uncertainty(self.tree, self.build_terms(tracking), poses, self.normalise_robust_scales((scale_m,))[0])
 
@@ -150,12 +138,12 @@ def build_marker_problem(
     free_joints: Bool[np.ndarray, " J"],
     markers: Float[np.ndarray, "T K 3"],
     marker_sd_m: float,
-    pose_prior: PosePriorTerm,
-    joint_limits: JointLimitTerm,
+    pose_prior: terms.PosePriorTerm,
+    joint_limits: terms.JointLimitTerm,
 ) -> PoseProblem:
     """Return the pose problem of a subject and its markers, in metres, NaN where they are not used."""
-    tree = KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, free_joints)
-    attachment = MarkerAttachment(subject.joints, subject.marker_offsets)
+    tree = terms.KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, free_joints)
+    attachment = terms.MarkerAttachment(subject.joints, subject.marker_offsets)
     return PoseProblem(tree, attachment, markers, ~np.isnan(markers[..., 0]), marker_sd_m, pose_prior, joint_limits)
 
 
@@ -195,13 +183,13 @@ def build_pose_problem(
     # neighbouring frames show the same pose, so prior and limits count once in POSE_PERSISTENCE_S, not in every frame
     frames_per_pose = POSE_PERSISTENCE_S * take.rate
     return PoseProblem(
-        KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, body.free_joints),
-        MarkerAttachment(subject.joints, subject.marker_offsets),
+        terms.KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, body.free_joints),
+        terms.MarkerAttachment(subject.joints, subject.marker_offsets),
         take.markers,
         take.visible & ~is_border,
         options.marker_sd_m,
-        build_pose_prior_term(prior.scale_information(1 / frames_per_pose), PRIOR_HUBER_SCALE_SD),
-        build_joint_limit_term(limits, options.limit_sd_rad * np.sqrt(frames_per_pose)),
+        terms.build_pose_prior_term(prior.scale_information(1 / frames_per_pose), PRIOR_HUBER_SCALE_SD),
+        terms.build_joint_limit_term(limits, options.limit_sd_rad * np.sqrt(frames_per_pose)),
     )
 
 
