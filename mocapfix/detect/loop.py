@@ -174,6 +174,8 @@ def check_visible_markers(detected: Detected) -> None:
     """Raise TakeError if no frame shows enough markers after the detection."""
     if detected.inlier_mask.sum(1).max() < MIN_VISIBLE_MARKERS:
         problem = f"no frame shows {MIN_VISIBLE_MARKERS} markers, so nothing can be estimated"
+        if not detected.take.visible.any():
+            problem = "all samples of its markers are missing (in a C3D, a residual below 0 says so)"
         raise TakeError(f"{detected.take.name}: {problem}; check the labels and the export.")
 
 

@@ -348,6 +348,7 @@ def build_report(
             *notes.describe_up_axis(take),
             *notes.describe_computed_points(decided.take),
             *notes.describe_frame_steps(detected.take),
+            *notes.describe_copies(take),
             *subject.notes,
             *detected.notes,
             *body_notes,

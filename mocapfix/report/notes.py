@@ -29,7 +29,7 @@ from mocapfix.model.take import Take
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range, get_point_terms
 from mocapfix.solve.lost_in_sight import BODY_PARTS, LostPart, find_lost_parts
-from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MAX_RELIABLE_FILL_SD_M = 0.06  # per axis; fills with a larger predicted standard deviation are listed
 MIN_STRAY_DISTANCE_M = 0.1  # from the body; a marker this far for MIN_STRAY_DURATION_S is reported with its frames
@@ -288,6 +288,7 @@ def describe_up_axis(take: Take) -> list[str]:
     return [f"{take.up_axis.letter} is assumed to be the up axis ({take.up_axis.basis}); this is uncertain: --up sets it."]
 
 
+MAX_COMPARED_FRAMES = 100  # in which labels are compared
 MIN_STEP_MARKERS = 6  # that two or three neighbouring frames show
 MIN_JUMP_M, MIN_JUMP_M_S2 = 0.03, 300.0  # by which, and with what acceleration, markers leave their paths at once
 MIN_JUMPING_SHARE = 0.75  # of the markers, which no impact moves so
@@ -325,6 +326,16 @@ def describe_frame_steps(take: Take) -> list[str]:
         *[f"{what}: the recording was held, or its rate was raised (--rate)."] * bool(count),
         *[f"No {terms.point} is visible in frames {frames[1]}: any motion there is a guess."] * bool(absent),
     ]
+
+
+def describe_copies(take: Take) -> list[str]:
+    """Return a note on labels that have the samples of another one, by frames spread evenly; no note without any."""
+    same: dict[bytes, list[str]] = {}
+    markers = np.array(take.markers[sample_evenly(take.frame_count, MAX_COMPARED_FRAMES)])
+    for m in np.flatnonzero(~np.isnan(markers[..., 0]).all(0)).tolist():
+        same.setdefault(markers[:, m].tobytes(), []).append(take.labels[m])
+    copies = [join_names(labels) for labels in same.values() if len(labels) > 1]
+    return [f"These labels have the same samples, so all but one of them are copies: {'; '.join(copies)}."] * bool(copies)
 
 
 def describe_computed_points(take: Take) -> list[str]:

@@ -353,6 +353,10 @@ FILES = {
     "random, nearly": (lambda _: b"\x02\x50" + np.random.default_rng(1).bytes(8000), r"; (copy|export) "),
     "text": (lambda _: b"Frame\tX\tY\tZ\n" * 200, r"has no format that mocapfix reads; export the capture as"),
     "without points": (lambda _: c3d_bytes(np.zeros((5, 0, 3)), [], extra={"POINT:LABELS": None}), r"has no points; export"),
+    "negative residuals": (
+        lambda _: c3d_bytes(np.full((5, 4, 3), 100.0), list("ABCD"), np.full((5, 4), -1.0)),
+        r"all samples of its markers are missing \(in a C3D, a residual below 0 says so\); check the labels and the export",
+    ),
     "two markers": (two_markers_at_a_time, r"no frame shows 3 markers, so nothing can be estimated; check the labels"),
 }
 

@@ -10,6 +10,7 @@ from mocapfix.model.faults import Fault
 from mocapfix.model.skeleton import load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.report.notes import (
+    describe_copies,
     describe_frame_steps,
     describe_hands,
     describe_lost_part,
@@ -108,6 +109,19 @@ def test_jumps_repeats_and_absences_of_all_markers_are_named_with_their_frames(r
     assert describe_frame_steps(replace(take, markers=np.repeat(markers[:1], 50, axis=0))) == []  # at rest
     for frames in range(4):
         assert describe_frame_steps(replace(take, markers=markers[:frames])) == []
+
+
+def test_labels_with_the_same_samples_are_named():
+    markers = np.random.default_rng(0).normal(0, 1, (300, 5, 3))
+    take = Take(markers, ("A", "B", "C", "D", "E"), RATE, 1)
+    assert describe_copies(take) == []
+    markers[:, 3] = markers[:, 1]
+    markers[:, [0, 2]] = np.nan  # absent
+    assert describe_copies(replace(take, markers=markers)) == [
+        "These labels have the same samples, so all but one of them are copies: B and D."
+    ]
+    markers[150:, 3] += 0.001
+    assert describe_copies(replace(take, markers=markers)) == []
 
 
 def build_lost_arm(*frames):
