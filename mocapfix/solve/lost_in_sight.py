@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.model.skeleton import Skeleton, list_path
+from mocapfix.model.skeleton import BODY_SECTIONS, Skeleton, list_path
 from mocapfix.model.subject import Subject
 from mocapfix.stats.gaussian_process import MEDIAN_DEVIATIONS_PER_SD
 
@@ -39,24 +39,13 @@ MIN_PROXIMAL_DISTANCE_M = 0.03
 """a limb counts as lost beyond the part of it that is lost anyway if the mean distance of its other markers exceeds this: so a
 lost foot is not called a lost leg"""
 
-BODY_PARTS: dict[str, tuple[str, ...]] = {
-    "head": ("Neck", "Neck1", "Head"),
-    "trunk": ("LowerBack", "Spine", "Spine1", "LeftShoulder", "RightShoulder"),
-    "pelvis": ("Hips", "LHipJoint", "RHipJoint"),
-    "left arm": ("LeftArm", "LeftForeArm", "LeftHand", "LeftFingerBase", "LeftHandIndex1", "LThumb"),
-    "right arm": ("RightArm", "RightForeArm", "RightHand", "RightFingerBase", "RightHandIndex1", "RThumb"),
-    "left forearm": ("LeftForeArm", "LeftHand", "LeftFingerBase", "LeftHandIndex1", "LThumb"),
-    "right forearm": ("RightForeArm", "RightHand", "RightFingerBase", "RightHandIndex1", "RThumb"),
-    "left hand": ("LeftHand", "LeftFingerBase", "LeftHandIndex1", "LThumb"),
-    "right hand": ("RightHand", "RightFingerBase", "RightHandIndex1", "RThumb"),
-    "left leg": ("LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"),
-    "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
-    "left lower leg": ("LeftLeg", "LeftFoot", "LeftToeBase"),
-    "right lower leg": ("RightLeg", "RightFoot", "RightToeBase"),
-    "left foot": ("LeftFoot", "LeftToeBase"),
-    "right foot": ("RightFoot", "RightToeBase"),
+BODY_PARTS = {name: BODY_SECTIONS[name] for name in ("head", "trunk", "pelvis")} | {
+    f"{side} {part}": BODY_SECTIONS[f"{side} {limb}"][first:]
+    for limb, parts in (("arm", ("arm", "forearm", "hand")), ("leg", ("leg", "lower leg", "foot")))
+    for first, part in enumerate(parts)
+    for side in ("left", "right")
 }
-"""the joints of each part"""
+"""the joints of each part: of the sections of the body, and of the outer parts of limbs"""
 LIMB_CHAINS = (
     ("left hand", "left forearm", "left arm"),
     ("right hand", "right forearm", "right arm"),

@@ -181,19 +181,14 @@ def measure_distance_spread(markers: Float[np.ndarray, "T M 3"]) -> Float[np.nda
     return spread
 
 
-def find_rigid_groups(markers: Float[np.ndarray, "T M 3"], max_spread_m: float = MAX_RIGID_SPREAD_M) -> tuple[RigidGroup, ...]:
-    """Return the rigid groups of a take's markers (in metres, NaN if not visible), the largest first.
+def find_rigid_groups(
+    distance_spread: Float[np.ndarray, "M M"], max_spread_m: float = MAX_RIGID_SPREAD_M
+) -> tuple[RigidGroup, ...]:
+    """Return the rigid groups of a take's markers, the largest first, from the variations of their distances in metres.
 
     Groups are joined while no distance within them varies by more than `max_spread_m` (complete linkage). A group must move
     against the other markers.
     """
-    return group_rigid_markers(measure_distance_spread(markers), max_spread_m)
-
-
-def group_rigid_markers(
-    distance_spread: Float[np.ndarray, "M M"], max_spread_m: float = MAX_RIGID_SPREAD_M
-) -> tuple[RigidGroup, ...]:
-    """Return the rigid groups as `find_rigid_groups`, from the variations of the distances."""
     linkage, members = distance_spread.copy(), {m: [m] for m in range(len(distance_spread))}
     np.fill_diagonal(linkage, np.inf)
     while len(members) > 1 and linkage.min() <= max_spread_m:
@@ -218,5 +213,5 @@ def measure_group(markers: list[int], distance_spread: Float[np.ndarray, "M M"],
 def find_prop_groups(distance_spread: Float[np.ndarray, "M M"], is_on_body: Bool[np.ndarray, " M"]) -> tuple[RigidGroup, ...]:
     """Return the rigid groups of those markers that are not on the body."""
     free = np.flatnonzero(~is_on_body)
-    groups = group_rigid_markers(distance_spread)
+    groups = find_rigid_groups(distance_spread)
     return tuple(group for group in groups if set(group.markers).issubset(free.tolist()))

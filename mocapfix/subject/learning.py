@@ -231,7 +231,7 @@ def find_doubtful_markers(
         elif is_unclear and joint not in (skeleton.parents[second], second) and second != skeleton.parents[joint]:
             reasons[labels[m]] = f"may be on {skeleton.names[joint]} or on {skeleton.names[second]}"
     is_left_out = (attachment.joints < 0) | np.array([label in reasons for label in labels])
-    for group in find_rigid_groups(take.markers):
+    for group in find_rigid_groups(measure_distance_spread(take.markers)):
         members = np.array(group.markers)
         if is_left_out[members].any() and not is_named[members].any():
             reasons |= {labels[m]: "belongs to a prop" for m in group.markers if not is_left_out[m]}

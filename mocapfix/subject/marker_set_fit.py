@@ -43,7 +43,6 @@ class AttachedMarkers:
     residual_sd: Float[np.ndarray, " M"]  # m: motion per axis about the offset
     probability: Float[np.ndarray, " M"]  # posterior probability of the joint
     second_joints: Int[np.ndarray, " M"]  # the second most likely joint
-    log_likelihood: Float[np.ndarray, " M"]  # log likelihood of the joint up to a constant; NaN if the marker is never visible
     rejection_reasons: tuple[str, ...]  # why each marker is not attached (the predicate of a sentence), "" if it is
 
 
@@ -121,7 +120,6 @@ def attach_markers(
         residual_sd=sd[best, each],
         probability=np.nan_to_num(1 / np.exp(log_likelihood - log_likelihood[best, each]).sum(0)),
         second_joints=candidates[second],
-        log_likelihood=log_likelihood[best, each],
         rejection_reasons=tuple(reasons),
     )
 

@@ -32,7 +32,7 @@ from mocapfix.model.skeleton import Skeleton, load_cmu31_body
 from mocapfix.model.take import Take
 from mocapfix.solve import kinematics
 from mocapfix.solve.mean_pose import load_mean_pose_prior
-from mocapfix.stats.marker_distances import group_rigid_markers, measure_distance_spread
+from mocapfix.stats.marker_distances import find_rigid_groups, measure_distance_spread
 from mocapfix.stats.rigid_alignment import align_to_shape, fit_common_shape
 from mocapfix.stats.sequences import assign_points, sample_evenly
 from mocapfix.subject import refinement
@@ -311,7 +311,7 @@ class SegmentAxes(NamedTuple):
 def guess_from_rigid_groups(take: Take, labels: tuple[str, ...], skeleton: Skeleton) -> MarkerSet | None:
     """Return a set of the markers on the legs that rigid groups form, under the names `labels`; None if they form no leg."""
     markers = take.markers[sample_evenly(take.frame_count, MAX_FUNCTIONAL_FRAMES)]
-    found = group_rigid_markers(measure_distance_spread(take.markers), MAX_SEGMENT_SPREAD_M)
+    found = find_rigid_groups(measure_distance_spread(take.markers), MAX_SEGMENT_SPREAD_M)
     groups = [build_moving_group(markers, group.markers) for group in found]
     graph, floor_m = JointGraph(groups), float(np.nanmin(markers[..., 1], initial=np.inf))
     chains = [

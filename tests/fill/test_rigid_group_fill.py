@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.fill.gap_estimates import estimate_missing_samples
 from mocapfix.fill.gap_windows import FillMethod
 from mocapfix.fill.rigid_group_fill import RigidGroupPlacement
-from mocapfix.stats.marker_distances import RigidGroup, find_rigid_groups
+from mocapfix.stats.marker_distances import RigidGroup, find_rigid_groups, measure_distance_spread
 from mocapfix.stats.sequences import find_runs
 from tests.fill.gap_examples import build_gap, build_take
 
@@ -106,7 +106,7 @@ def test_errors_are_measured_with_the_markers_that_the_gap_shows(measured):
 def test_a_group_fills_the_frames_that_show_it(measured):
     lost = measured.copy()
     lost[20:40, 0], lost[30:33, 1:] = np.nan, np.nan
-    groups = find_rigid_groups(np.concatenate([lost, np.zeros((FRAMES, 1, 3))], axis=1))
+    groups = find_rigid_groups(measure_distance_spread(np.concatenate([lost, np.zeros((FRAMES, 1, 3))], axis=1)))
     assert [group.markers for group in groups] == [(0, 1, 2, 3, 4)]
     filled = next(estimate_missing_samples(lost, 50.0, rigid_groups=groups))
     shown = np.r_[20:30, 33:40]

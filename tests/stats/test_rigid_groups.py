@@ -26,7 +26,7 @@ def markers() -> np.ndarray:
 
 
 def test_rigid_groups_are_found(markers):
-    groups = find_rigid_groups(markers)
+    groups = find_rigid_groups(measure_distance_spread(markers))
     assert [group.markers for group in groups] == [(0, 1, 2, 3, 4), (5, 6, 7, 8)]
     assert all(group.spread_m < 0.001 < 0.02 < group.motion_m for group in groups)
 
@@ -35,13 +35,14 @@ def test_order_and_gaps_do_not_matter(markers):
     order = np.random.default_rng(1).permutation(12)
     shuffled = markers[:, order].copy()
     shuffled[np.random.default_rng(2).random(shuffled.shape[:2]) < 0.3] = np.nan
-    found = {frozenset(order[list(group.markers)].tolist()) for group in find_rigid_groups(shuffled)}
+    found = {frozenset(order[list(group.markers)].tolist()) for group in find_rigid_groups(measure_distance_spread(shuffled))}
     assert found == {frozenset(range(5)), frozenset(range(5, 9))}
 
 
 def test_markers_at_rest_are_no_rigid_groups(markers):
     at_rest = np.tile(markers[:1], (FRAMES, 1, 1))
-    groups = find_rigid_groups(np.concatenate([at_rest[:, :9], at_rest[:, 9:] + 0.005 * markers[:, 9:]], axis=1))
+    moving = np.concatenate([at_rest[:, :9], at_rest[:, 9:] + 0.005 * markers[:, 9:]], axis=1)
+    groups = find_rigid_groups(measure_distance_spread(moving))
     assert groups == ()
 
 
