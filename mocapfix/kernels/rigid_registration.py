@@ -11,7 +11,6 @@ import numpy as np
 from mocapfix.kernels.compilation import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import convert_quaternion_to_matrix, orthonormalise_rotation
 from mocapfix.kernels.small_matrices import (
-    clear_array,
     copy_array,
     load_single_matrix,
     multiply_matrices,
@@ -184,7 +183,7 @@ def align_cluster_frames(markers, frames, cluster, weight, local, rotation, cent
         frames, cluster: The N frames, and the K markers of the cluster, which they show.
         weight: (K,), of each.
     """
-    m, vectors, cross, lever = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3)), np.empty((len(cluster), 3))
+    m, vectors, cross, lever = np.empty((4, 4)), np.empty((4, 4)), np.empty((1, 3, 3)), np.empty((len(cluster), 3))
     shape, share, total = np.empty((len(cluster), 3)), np.empty(len(cluster)), 0.0
     for k in range(len(cluster)):  # loops, since whole arrays compile the text of their errors
         copy_array(markers[cluster[k], frames[0]], shape[k])
@@ -199,20 +198,20 @@ def align_cluster_frames(markers, frames, cluster, weight, local, rotation, cent
             for k in range(len(cluster)):
                 lever[k, a], shape[k, a] = share[k] * (shape[k, a] - mean), 0.0
         for n in range(len(frames)):
-            clear_array(cross)
-            clear_array(centre[n])
+            cx = cy = cz = xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0  # an array would be written for every marker
             for k in range(len(cluster)):
-                for a in range(3):
-                    x = markers[cluster[k], frames[n], a]
-                    centre[n, a] += share[k] * x
-                    for b in range(3):
-                        cross[a, b] += x * lever[k, b]
-            r = fit_rotation(cross, m, vectors, rotation[n])
+                point, s, u, v, w = markers[cluster[k], frames[n]], share[k], lever[k, 0], lever[k, 1], lever[k, 2]
+                x, y, z = point[0], point[1], point[2]
+                cx, cy, cz = cx + s * x, cy + s * y, cz + s * z
+                xx, xy, xz, yx, yy, yz = xx + x * u, xy + x * v, xz + x * w, yx + y * u, yy + y * v, yz + y * w
+                zx, zy, zz = zx + z * u, zy + z * v, zz + z * w
+            store_matrix((xx, xy, xz, yx, yy, yz, zx, zy, zz), cross, 0)
+            centre[n, 0], centre[n, 1], centre[n, 2] = cx, cy, cz
+            r = fit_rotation(cross[0], m, vectors, rotation[n])
             store_matrix(r, rotation, n)
-            inverse = transpose_matrix(r)
             for k in range(len(cluster)):
                 point = markers[cluster[k], frames[n]]
-                x, y, z = multiply_vector(inverse, point[0] - centre[n, 0], point[1] - centre[n, 1], point[2] - centre[n, 2])
+                x, y, z = multiply_vector(transpose_matrix(r), point[0] - cx, point[1] - cy, point[2] - cz)
                 local[n, k, 0], local[n, k, 1], local[n, k, 2] = x, y, z
                 shape[k, 0], shape[k, 1], shape[k, 2] = shape[k, 0] + x, shape[k, 1] + y, shape[k, 2] + z
         for k in range(len(cluster)):
