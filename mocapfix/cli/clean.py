@@ -106,12 +106,15 @@ def clean_takes(
                     result = pipeline.clean_capture(capture, options, timer)
                     result.write(folder, overwrite, progress, options.output)
                 written.add(folder / take.stem)
-                for each in result.subject_results or (result,):
+                results = result.subject_results or (result,)
+                lacks_body = bool(options.output.characters) and all(each.motion is None for each in results)
+                for each in results:
                     outputs = each.get_written_paths(folder, options.output)
                     reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
                     laboratory[format_take_name(reports[-1]["take"])] = reports[-1]["take"].get("laboratory", "")
                     clip_paths += [path for suffix, path in outputs.items() if suffix.endswith(CLIP_SUFFIXES)]
                     problems = each.describe_missing_outputs(folder, options.output)
+                    problems += [note for note in reports[-1]["notes"] if lacks_body and note.endswith(" has no body.")]
                     if not as_json:
                         notes = [note for note in reports[-1]["notes"] if note not in problems]
                         print_summary({**reports[-1], "notes": notes}, outputs, options.subject.subject_prefix)

@@ -22,6 +22,7 @@ from mocapfix.io.coordinates import ROTATIONS_TO_Y_UP
 from mocapfix.io.patches import patch_animation
 from mocapfix.model.animation import Animation
 from mocapfix.synthetic import compose_take
+from tests import bvh_files
 from tests.captures import CAPTURES, needs_captures
 
 ARM = ("RightArm", "RightForeArm")
@@ -256,6 +257,14 @@ def test_figure_with_unknown_joint_names_is_cleaned(walk, mocapfix, tmp_path):
     result = pipeline.clean(tmp_path / "crane.bvh", hierarchy=tmp_path / "parts.yaml")
     assert result.motion is not None
     assert result.motion.frame_count == walk.truth.frame_count
+
+
+def test_character_of_a_figure_without_a_body_is_an_error(mocapfix, tmp_path):
+    path = tmp_path / "crane.bvh"
+    path.write_text(bvh_files.TEXT, encoding="utf-8")
+    status, _, error = mocapfix("clean", path, "--character", "mixamo", "--accept-contradictions")
+    assert (status, "mixamo.glb is not written: the animation has no body." in error) == (1, True)
+    assert mocapfix("clean", path, "--also", "gltf", "--accept-contradictions", "--overwrite")[0] == 0
 
 
 def check_error(outcome, *fragments: str) -> None:
