@@ -141,6 +141,7 @@ def detect_body_outliers(residuals: BodyResiduals, rate: float, min_distance_m: 
 MIN_FALLEN_M = 0.25  # from its place on the body, of a marker that has fallen off
 MAX_FALLEN_SWAY_M = 0.015  # within which it lies
 MIN_FALLEN_SHARE = 0.5  # of its samples that lie so far away, in one place
+FALLEN_NEIGHBOURS = 4  # markers with the nearest places, which lie off the body too where it is the limb that is wrong
 
 
 def detect_fallen_markers(take: Take, place_world: Float[np.ndarray, "T K 3"]) -> list[Fault]:
@@ -150,8 +151,7 @@ def detect_fallen_markers(take: Take, place_world: Float[np.ndarray, "T K 3"]) -
         frames = np.flatnonzero(take.visible[:, k])
         own_m, path = distance_m[frames, k], take.markers[frames, k]
         at_home = np.flatnonzero(own_m < MIN_UNSEEN_DISTANCE_M)
-        start = int(at_home[-1]) if len(at_home) else 0
-        usual_m = np.median(own_m[at_home]) if len(at_home) else np.inf
+        start, usual_m = (int(at_home[-1]), np.median(own_m[at_home])) if len(at_home) else (0, np.inf)
         while start > 0 and own_m[start] > max(own_m[start - 1], 2 * usual_m):
             start -= 1  # to where it goes off
         if min(len(at_home), len(frames) - start - 1) < MIN_SHIFTED_DURATION_S * take.rate:
@@ -159,10 +159,12 @@ def detect_fallen_markers(take: Take, place_world: Float[np.ndarray, "T K 3"]) -
         off, away_m = frames[start + 1 :], own_m[start + 1 :]
         is_lying = compute_lengths(path[start + 1 :] - np.median(path[start + 1 :], axis=0)) < MAX_FALLEN_SWAY_M
         is_fallen = (is_lying & (away_m > MIN_FALLEN_M)).mean() > MIN_FALLEN_SHARE
-        if is_fallen and np.nanmedian(np.delete(distance_m[off], k, axis=1)) < MIN_UNSEEN_DISTANCE_M:
-            severity = float(np.median(away_m))
-            reason = f"{take.bare_labels[k]} has left the body and lies in one place to its end, {severity * 1e3:.0f} mm off."
-            faults.append(Fault("ghost", k, int(off[0]), int(off[-1]), severity, reason, 0.95))
+        near = compute_lengths(place_world[off[0]] - place_world[off[0], k]).argsort()[1 : 1 + FALLEN_NEIGHBOURS]
+        near_m = distance_m[np.ix_(off, near)]
+        if is_fallen and (near_m < MIN_UNSEEN_DISTANCE_M).sum() > (near_m >= MIN_UNSEEN_DISTANCE_M).sum():
+            off_m = float(np.median(away_m))
+            reason = f"{take.bare_labels[k]} has left the body and lies in one place to its end, {off_m * 1e3:.0f} mm off."
+            faults.append(Fault("ghost", k, int(off[0]), int(off[-1]), off_m, reason, 0.95))
     return faults
 
 

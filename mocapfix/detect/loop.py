@@ -55,7 +55,7 @@ def detect_body_faults(
     min_distance_m: float = 0.02,
     max_spike_duration_s: float = 0.05,
 ) -> list[Fault]:
-    """Detect faults of markers by their distances from the solved body.
+    """Detect faults of markers, indices into the subject's, by their distances from the body; ordered by marker and first frame.
 
     A fault that a larger fault nearby explains is not reported; the next round of detection finds it if it remains. Neither are
     samples off the body where the other markers show that the body is wrong.
@@ -65,9 +65,6 @@ def detect_body_faults(
         solver_mask: (T, K) bool, the samples that the solver used.
         min_distance_m: Smaller distances from the body are not faults.
         max_spike_duration_s: Longer outliers are ghosts, shorter ones spikes.
-
-    Returns:
-        Faults ordered by marker and first frame. Markers are indices into the subject's markers.
     """
     residuals = body_outliers.compute_body_residuals(subject_take, solver_mask, subject, motion)
     outliers = body_outliers.detect_body_outliers(residuals, subject_take.rate, min_distance_m)

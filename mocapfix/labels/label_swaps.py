@@ -207,8 +207,10 @@ def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDist
 
 MIN_CROSSING_PAIRS = 3  # of labels that exchange their paths in one frame, which markers cannot
 MIN_CROSSING_M, MAX_CROSSING_RATIO = 0.05, 0.25  # least leap of each label, and its distance from the other's path relative to it
-MAX_CROSSING_GAP_S = 0.1
-CROSSING_CONFIDENCE = 0.9
+# Least share of the leaping labels that exchange their paths: 0.92 and more where legs or all labels of composed people are
+# exchanged, at 30 to 120 Hz; 0.73 and less where takes are joined in which the person is turned by 150 to 200 degrees.
+MIN_CROSSING_SHARE = 0.8
+MAX_CROSSING_GAP_S, CROSSING_CONFIDENCE = 0.1, 0.9
 
 
 def detect_limb_exchanges(take: Take) -> list[Fault]:
@@ -230,7 +232,7 @@ def detect_limb_exchanges(take: Take) -> list[Fault]:
         other = away_m.argmin(1)
         is_crossed = (away_m.min(1) < MAX_CROSSING_RATIO * leap_m[frame, seen]) & (other[other] == np.arange(len(seen)))
         pairs = [(int(seen[n]), int(seen[other[n]])) for n in np.flatnonzero(is_crossed & is_crossed[other]) if n < other[n]]
-        if len(pairs) >= MIN_CROSSING_PAIRS:
+        if len(pairs) >= max(MIN_CROSSING_PAIRS, MIN_CROSSING_SHARE * len(seen) / 2):
             crossings |= {pair: (*crossings.get(pair, ()), frame) for pair in pairs}
     counts = Counter(crossings.values())
     common = [each for each in sorted(counts, key=len) if counts[each] >= MIN_CROSSING_PAIRS]
@@ -241,8 +243,7 @@ def detect_limb_exchanges(take: Take) -> list[Fault]:
         starts = next((each for each in common[::-1] if set(own) <= set(each) <= {*own, *hidden}), ())
         parts = list(zip((0, *starts), (*starts, take.frame_count), strict=True))
         wrong = min(parts[::2], parts[1::2], key=lambda part: sum(end - first for first, end in part))
-        intervals = [(first, end - 1) for first, end in wrong]
-        faults += [build_exchange_fault(take, pair, each, CROSSING_CONFIDENCE, take.bare_labels) for each in intervals]
+        faults += [build_exchange_fault(take, pair, (a, end - 1), CROSSING_CONFIDENCE, take.bare_labels) for a, end in wrong]
     return faults
 
 

@@ -64,6 +64,22 @@ def test_a_marker_that_falls_off_is_no_marker_from_there_on(label, frame):
     assert body_outliers.detect_fallen_markers(take, places + 1.0) == []  # the body is wrong
 
 
+def test_markers_of_a_limb_that_is_solved_wrongly_have_not_fallen_off():
+    sound, places = (
+        solved().take,
+        kinematics.predict_markers(solved().subject, (solved().motion.root_position, solved().motion.local_rotations)),
+    )
+    arm = [sound.labels.index(f"L{name}") for name in ("ELB", "FRM", "WRA", "WRB", "FIN", "THM") if f"L{name}" in sound.labels]
+    markers, places = sound.markers.copy(), places.copy()
+    markers[150:] = markers[150] + np.random.default_rng(0).normal(0, 0.0003, markers[150:].shape)  # the person stands still
+    places[150:] = places[150]
+    assert body_outliers.detect_fallen_markers(sound.replace_markers(markers), places) == []
+    places[150:, arm] += [0.0, 0.0, 0.4]
+    assert body_outliers.detect_fallen_markers(sound.replace_markers(markers), places) == []
+    markers[200:, [k for k in range(len(sound.labels)) if k not in arm]] = np.nan  # nothing else is seen
+    assert body_outliers.detect_fallen_markers(sound.replace_markers(markers), places) == []
+
+
 def test_sound_take_has_no_outliers():
     assert detect_outliers(solved().take) == []
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from mocapfix.detect.loop import detect_on_trajectories
 from mocapfix.io import capture
@@ -127,6 +128,17 @@ def test_fewer_than_three_pairs_are_no_exchange_of_limbs():
     assert label_swaps.detect_limb_exchanges(take) == []
     (fault, *_) = label_swaps.detect_limb_exchanges(exchanged(take, tuple(map(take.labels.index, LEGS[2])), 100, 149))
     assert (fault.first, fault.last, fault.kind) == (100, 149, "swap")
+
+
+@pytest.mark.parametrize("angle_deg", [150.0, 165.0, 180.0, 195.0])
+def test_a_person_who_is_turned_round_where_takes_are_joined_has_not_exchanged_limbs(angle_deg):
+    truth = compose_take(1, 6.0, 120.0)
+    for frame in range(120, 600, 60):
+        markers = truth.marker_positions.copy()
+        centre = markers[frame].mean(0)
+        turn = Rotation.from_euler("y", angle_deg, degrees=True)
+        markers[frame:] = turn.apply((markers[frame:] - centre).reshape(-1, 3)).reshape(markers[frame:].shape) + centre
+        assert label_swaps.detect_limb_exchanges(Take(markers, truth.labels, 120.0)) == []
 
 
 def test_two_simultaneous_swaps_are_found():
