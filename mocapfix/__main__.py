@@ -7,7 +7,7 @@ import sys
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-ALLOCATOR_PARAMETERS = {-8: 1, -3: 4 << 20, -1: 16 << 20}  # of glibc: heaps, bytes of a large array, of memory that a heap keeps
+ALLOCATOR_PARAMETERS = {-8: 1, -3: 4 << 20, -1: 256 << 20}  # of glibc: heaps, bytes of a large array, of memory that a heap keeps
 
 
 class UncheckedShapes(ModuleType):
