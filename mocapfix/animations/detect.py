@@ -149,6 +149,7 @@ ELSEWHERE_QUANTILE = 0.99
 MIN_SINGLE_AXIS_FRAMES = 8  # for jitter about a single axis
 MAX_SINGLE_AXIS_RATIO = 0.33  # of the second strongest axis to the strongest, for jitter about a single axis
 FAINT_POWER_SHARE = 0.15  # of the minimum power, which a burst keeps up where it begins and ends
+MAX_REPEATED_SHARE = 0.15  # of the steps of a burst: noise repeats no value, a rate that was raised one of two to six
 FAINT_GAP_FRAMES = 4  # length of the window in which gaps of a faint burst are closed
 STENCIL_POWER_BY_ORDER = {2: 6.0, 4: 70.0}  # sums of the squared binomial coefficients
 
@@ -196,7 +197,8 @@ def detect_jitter(
         first, last = run_first + 1, run_last - 1  # the outermost differences extend one frame beyond the burst
         if is_strong[run_first : run_last + 1].any() and last - first + 1 >= min_frames:
             burst = JitterBurst(first, last, float(np.sqrt(np.nanmean(fourth_power[first : last + 1]))))
-            if burst.sd**2 > min_power and _is_jitter(differences, burst):
+            is_repeated = (track[first:last] == track[first + 1 : last + 1]).all(1).mean() > MAX_REPEATED_SHARE
+            if burst.sd**2 > min_power and not is_repeated and _is_jitter(differences, burst):
                 bursts.append(burst)
     return _merge_overlapping(bursts)
 

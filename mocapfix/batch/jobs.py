@@ -96,7 +96,6 @@ def clean_recorded_take(request: CleanRequest) -> records.TakeRecord:
 
     A record that another process wrote after this job was given out is returned as it is. Raises MocapfixError.
     """
-    from mocapfix.batch.jobs import measure_result
     from mocapfix.model.stage_timer import omit_stage_times
 
     started, start = format_now(), time.monotonic()
@@ -185,10 +184,8 @@ def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> r
 
 
 def build_failed_record(request: CleanRequest, outcome: JobOutcome, started: str, attempts: int) -> records.TakeRecord:
-    before, input_sha256 = (
-        records.read_record(records.get_record_path(request.output_folder, request.take)),
-        try_to_hash(request.path),
-    )
+    before = records.read_record(records.get_record_path(request.output_folder, request.take))
+    input_sha256 = try_to_hash(request.path)
     return build_record(
         request,
         input_sha256=input_sha256,

@@ -312,7 +312,7 @@ def describe_frame_steps(take: Take) -> list[str]:
         shown = (~np.isnan(bends)).sum(1)
         far = (bends > max(MIN_JUMP_M, MIN_JUMP_M_S2 / take.rate**2)).sum(1)
         is_far[end - len(bends) : end] = (shown >= MIN_STEP_MARKERS) & (far >= MIN_JUMPING_SHARE * shown)
-    jumps = np.flatnonzero(is_far[:-1] & is_far[1:] & ~np.roll(is_same, 1)[:-1])  # not where a body that was held goes on
+    jumps = np.flatnonzero(is_far[:-1] & is_far[1:] & ~(is_same | np.roll(is_same, 1))[:-1])  # not of a body that was held
     held = [run for run in find_runs(is_same) if is_moving[max(run[0] - 1, 0)] or is_moving[min(run[1] + 1, len(counts) - 1)]]
     absent = [run for run in find_runs(counts == 0) if run[1] + 1 - run[0] >= MIN_ABSENT_S * take.rate]
     frames = [list_frame_ranges(each, take.get_frame_number(0)) for each in (held, absent)]

@@ -88,6 +88,17 @@ def test_jitter_of_the_position_is_detected_also_throughout(span: slice):
     assert faults[0].severity_unit == "m"
 
 
+def test_repeated_frames_of_a_raised_rate_are_no_jitter_of_the_position():
+    time_s = np.arange(480) / 120
+    path = np.stack([0.5 * np.sin(3 * time_s), 0.3 * np.sin(5 * time_s), 0.5 * np.cos(2 * time_s)], axis=1)  # up to 2 m/s
+    noisy = path + np.random.default_rng(0).normal(0, 0.005, path.shape)
+    found = [
+        detect.detect_jitter(each, np.ones(len(each), bool), 120, detect.POSITION_JITTER)
+        for each in (path, path.repeat(2, 0), noisy)
+    ]
+    assert [len(each) for each in found] == [0, 0, 1]
+
+
 @pytest.mark.parametrize("axes", [(1, 0, 0), (1, 0.6, 0)])
 def test_frequent_jerks_about_one_or_two_axes_are_no_jitter(axes: tuple[float, float, float]):
     rotations, rng = compose_sound_motion().local_rotations.copy(), np.random.default_rng(2)

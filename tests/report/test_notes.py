@@ -109,6 +109,9 @@ def test_jumps_repeats_and_absences_of_all_markers_are_named_with_their_frames(r
     assert describe_frame_steps(replace(take, markers=np.repeat(markers[:1], 50, axis=0))) == []  # at rest
     for frames in range(4):
         assert describe_frame_steps(replace(take, markers=markers[:frames])) == []
+    fast = np.repeat(np.sin(np.arange(40) / 5)[:, None, None] * np.ones((8, 3)), 2, axis=0)  # 0.2 m a step, each frame twice
+    (note,) = describe_frame_steps(replace(take, markers=fast))
+    assert note.startswith("40 frames repeat the frame before")
 
 
 def test_labels_with_the_same_samples_are_named():
