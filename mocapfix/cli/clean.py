@@ -161,8 +161,8 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
     terms = JOINT_TERMS if take.get("animation") else MARKER_TERMS
     relabelled = f", {fill['relabelled']} relabelled" if fill["relabelled"] else ""
     print_line(
-        f"[bold]{escape(format_take_name(take))}[/]: {fill['missing_before']} samples were missing, {fill['filled']} filled; "
-        f"{fill['replaced']} faulty ones replaced{relabelled}; {fill['left_empty']} left {terms.left}. "
+        f"[bold]{escape(format_take_name(take))}[/]: {fill['missing_before']} {terms.samples} were missing, "
+        f"{fill['filled']} filled; {fill['replaced']} faulty ones replaced{relabelled}; {fill['left_empty']} left {terms.left}. "
         f"{report['seconds']['total']:.1f} s."
     )
     if report["solve"]:

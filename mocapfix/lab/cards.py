@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from mocapfix.io.files import replace_atomically
 from mocapfix.lab.recordings import RecordingSource
@@ -103,7 +103,7 @@ def write_weights(path: Path, tensors: Tensors, header: Header | None = None) ->
     """Write tensors, replacing the file atomically. Raises WriteError if the folder cannot be written."""
     metadata = None if header is None else {"mocapfix": json.dumps(header)}
     with replace_atomically(path) as temporary:
-        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
+        temporary.write_bytes(save({name: np.ascontiguousarray(values) for name, values in tensors.items()}, metadata))
 
 
 def write_twist_regressor(path: Path, network: TwistRegressor) -> None:

@@ -105,6 +105,8 @@ def test_joint_that_is_never_known_is_not_predicted(prior):
 
 def test_file_has_the_same_weights(prior, tmp_path):
     write_weights(tmp_path / "mine.safetensors", prior.tensors)
+    (tmp_path / "other").touch()
+    assert (tmp_path / "mine.safetensors").stat().st_mode == (tmp_path / "other").stat().st_mode  # others may read it, too
     again = motion_prior.read_motion_prior(tmp_path / "mine.safetensors")
     for name, values in prior.tensors.items():
         np.testing.assert_array_equal(again.tensors[name], values)
