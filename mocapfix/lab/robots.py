@@ -27,7 +27,7 @@ from mocapfix.lab.retargeting import BenchMotion, load_bench_motions
 from mocapfix.robots.retarget_robot import RobotMotion, compose_robot_motion, find_start, retarget_to_robot
 from mocapfix.robots.robot import compile_model, load_robot, may_collide
 from mocapfix.robots.robot_files import OVERLAP_M, build_robot_arrays, compute_limb_directions, measure_robot_motion
-from mocapfix.robots.robot_map import find_robot_map
+from mocapfix.robots.robot_map import find_robot_map, turn_upright
 from mocapfix.robots.robot_targets import RobotBody, RobotTargets, build_robot_body, compute_robot_targets, stand_feet
 from mocapfix.solve.trajectory import ROOT_UNKNOWNS, place_points
 
@@ -70,7 +70,7 @@ def measure_robots(
 def measure_robot(path: Path, performed: BenchMotion) -> list[Row]:
     """Return a row for each program; the second of two solves is timed, whose kernels are loaded."""
     robot, (model, _) = load_robot(path), compile_model(path)
-    body, rate = build_robot_body(robot, find_robot_map(robot)), performed.motion.rate
+    body, rate = build_robot_body(*turn_upright(robot, find_robot_map)), performed.motion.rate
     source = build_body_frame(build_cmu31_character(performed.skeleton))
     segments = compute_segment_motion(source, performed.motion)
     feet = resample_foot_contacts(performed.contacts, performed.motion.frame_count, rate)

@@ -122,8 +122,10 @@ def test_collisions_have_the_depth_by_which_two_capsules_overlap(path, body):
     assert second == pytest.approx(0.05 - np.linalg.norm(points - nearest, axis=1).min(), abs=1e-5)
 
 
-def test_the_robot_follows_a_walk(path, performed):
-    row = measure_robot(path, performed)[0]
+def test_the_robot_follows_a_walk_whatever_axes_its_root_has_in_the_world(path, performed, tmp_path):
+    text = path.read_text(encoding="utf-8").replace('name="trunk"', 'name="trunk" quat="0.6 0 0 0.8"')
+    (tmp_path / "turned.xml").write_text(text, encoding="utf-8")
+    row = measure_robot(tmp_path / "turned.xml", performed)[0]
     assert row["limbs_deg"] < 3.0
     assert row["penetration_share"] == row["floating_share"] == row["self_collision_share"] == 0.0
     assert row["limit_violations"] == row["speed_violations"] == 0
