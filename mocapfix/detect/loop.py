@@ -92,28 +92,27 @@ def detect_body_faults(
 def detect_epoch_faults(detected: Detected, body: BodyFit, options: DetectOptions) -> list[Fault]:
     """Detect faults against the body, with markers as indices into the take.
 
-    Uncertain label swaps are left out, and so is everything within a burst of jitter that is already known.
+    Uncertain label swaps are left out, and so is what a burst of jitter that is already known meets, unless it lasts longer.
     """
     epochs = detected.epochs
     inliers, solver_take = (
         detected.select_columns(body.marker_columns, mask) for mask in (detected.inlier_mask, detected.solver_mask)
     )
-    subject, spike_s, used = body.extended_subject, options.max_spike_duration_s, solver_take.visible
-    faults = detect_body_faults(
-        inliers, used, subject, body.motion, min_distance_m=options.min_spike_m, max_spike_duration_s=spike_s
-    )
+    subject, used, least_m = body.extended_subject, solver_take.visible, options.min_spike_m
+    spike_s, long = options.max_spike_duration_s, body_outliers.MIN_SHIFTED_DURATION_S * detected.take.rate
+    faults = detect_body_faults(inliers, used, subject, body.motion, min_distance_m=least_m, max_spike_duration_s=spike_s)
     take_marker = [int(epochs.column_marker[column]) if column >= 0 else -1 for column in body.marker_columns]
     mapped = [
         replace(fault, marker=take_marker[fault.marker], other_markers=tuple(take_marker[m] for m in fault.other_markers))
         for fault in faults
     ]
-    has_jitter = build_fault_mask(detected.sample_faults.select_kinds("jitter"), detected.take.visible.shape)
+    burst = build_fault_mask(detected.sample_faults.select_kinds("jitter"), detected.take.visible.shape)
     return [
         fault
         for fault in mapped
         if -1 not in fault.markers
         and not (fault.kind in LABEL_KINDS and fault.confidence < MIN_LABEL_CONFIDENCE)
-        and (fault.kind in SHIFT_KINDS or not fault.meets_mask(has_jitter))
+        and (fault.kind in SHIFT_KINDS or not fault.meets_mask(burst) or (~burst[fault.frame_slice, fault.marker]).sum() > long)
     ]
 
 

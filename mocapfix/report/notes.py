@@ -182,8 +182,8 @@ def describe_stray_markers(
     known = residual_m[~np.isnan(residual_m)]
     if has_given_subject and len(known) and np.median(known) > MIN_OTHER_BODY_DISTANCE_M:
         far = _format_mm(float(np.median(known)))
-        where = f"Half of the samples are more than {far} from where the subject file has their markers"
-        return [f"{where}: it is another person's, or the markers were attached again. Leave out --subject, or calibrate again."]
+        where = f"Half of the samples are more than {far} from where the given subject has their markers"
+        return [f"{where}: it is another person, or they were attached again. Leave out --subject or --like, or calibrate again."]
     suspected = [fault for fault in faults if fault.kind in LABEL_KINDS and fault.confidence < MIN_LABEL_CONFIDENCE]
     suspected_mask = build_fault_mask(suspected, residual_m.shape)
     residual_m = residual_m if described_mask is None else np.where(described_mask, np.nan, residual_m)

@@ -115,6 +115,14 @@ def test_shift_to_a_rarely_visible_position_is_unconfirmed():
     assert loop.find_unconfirmed_shifts(detection, body) == [late]
 
 
+def test_what_goes_on_for_a_second_beside_a_burst_of_jitter_is_no_jitter(monkeypatch):
+    body, take = build_body([0, 1, 2], np.zeros((3, 3))), replace(TAKE, rate=30.0)
+    short, long, other = (Fault("ghost", k, 40, last, 0.3, "") for k, last in ((1, 79), (1, 80), (2, 79)))  # 30, 31, 40 samples
+    monkeypatch.setattr(loop, "detect_body_faults", lambda *_, **__: [short, long, other])
+    jitter = Fault("jitter", 1, 50, 59, 0.01, "")
+    assert loop.detect_epoch_faults(Detected(take, (), Faults((jitter,))), body, OPTIONS.detect) == [long, other]
+
+
 def mock_detectors(monkeypatch, *body_faults):
     monkeypatch.setattr(loop, "detect_epoch_faults", lambda *_: list(body_faults))
     monkeypatch.setattr(loop, "find_unconfirmed_shifts", lambda *_: [])

@@ -48,8 +48,8 @@ def test_a_given_subject_that_no_marker_fits_is_named_and_not_the_labels():
     residual_m = np.full((FRAMES, 3), 0.0123)
     residual_m[:, 0] = 0.07
     assert describe_stray_markers(build_take("A", "B", "C"), residual_m, has_given_subject=True) == [
-        "Half of the samples are more than 12 mm from where the subject file has their markers: it is another person's, or the "
-        "markers were attached again. Leave out --subject, or calibrate again."
+        "Half of the samples are more than 12 mm from where the given subject has their markers: it is another person, or they "
+        "were attached again. Leave out --subject or --like, or calibrate again."
     ]
     residual_m[:, 1:] = 0.007  # attached again, 5 mm off
     (note,) = describe_stray_markers(build_take("A", "B", "C"), residual_m, has_given_subject=True)
