@@ -138,14 +138,14 @@ def detect_body_outliers(residuals: BodyResiduals, rate: float, min_distance_m: 
     return outliers
 
 
-MIN_FALLEN_M = 0.25  # from its place on the body, of a marker that has fallen off
+MIN_FALLEN_M = 0.25  # from its place on the body, of a marker that has fallen off: none in 393 recordings of training people
 MAX_FALLEN_SWAY_M = 0.015  # within which it lies
 MIN_FALLEN_SHARE = 0.5  # of its samples that lie so far away, in one place
 FALLEN_NEIGHBOURS = 4  # markers with the nearest places, which lie off the body too where it is the limb that is wrong
 
 
 def detect_fallen_markers(take: Take, place_world: Float[np.ndarray, "T K 3"]) -> list[Fault]:
-    """Detect markers that leave their places on the body, without a leap, and lie in one place until they are seen last."""
+    """Detect markers that leave their places on the body (in metres) without a leap, and lie in one place to their end."""
     faults, distance_m = list[Fault](), compute_lengths(take.markers - place_world)
     for k in np.flatnonzero((distance_m > MIN_FALLEN_M).any(0)).tolist():
         frames = np.flatnonzero(take.visible[:, k])

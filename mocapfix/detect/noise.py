@@ -259,7 +259,7 @@ class _Burst(NamedTuple):
 
 
 def _extend_burst(burst: _Burst, path: np.ndarray, is_spike: np.ndarray, reach: float, min_deviation_m: float) -> _Burst:
-    """Return the burst with spikes (T,) up to `reach` samples farther on, and with samples off the path (T, 3) beyond."""
+    """Return the burst with spikes (T,) up to `reach` frames farther on, and ends that are off the path (T, 3) in metres."""
     frames = np.union1d(np.flatnonzero(is_spike), np.arange(burst.first, burst.last + 1))
     part = np.cumsum(np.diff(frames, prepend=frames[:1]) > reach + 1)
     first, *_, last = frames[part == part[np.searchsorted(frames, burst.first)]].tolist()

@@ -17,13 +17,13 @@ def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
 
 
 def slide_windows(values: Shaped[np.ndarray, "T ..."], length: int) -> Shaped[np.ndarray, "T ... length"]:
-    """Return so many values, odd, about each of a sequence, which stays as at its ends (`scipy.ndimage` is slow to import)."""
+    """Return the `length` (odd) values about each value; beyond the ends these stay (`scipy.ndimage` is slow to import)."""
     padded = np.pad(values, [(length // 2, length // 2), *[(0, 0)] * (values.ndim - 1)], mode="edge")
     return np.lib.stride_tricks.sliding_window_view(padded, length, axis=0)
 
 
 def smooth_values(values: Float[np.ndarray, "T ..."], sd: float, reach_sd: float = 4.0) -> Float[np.ndarray, "T ..."]:
-    """Return the averages of a sequence by weights of a normal distribution, up to so many standard deviations away."""
+    """Return averages of a sequence by weights of a normal distribution of `sd` samples, as far as `reach_sd` times this."""
     reach = int(reach_sd * sd + 0.5)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sd) ** 2)
     return slide_windows(values, 2 * reach + 1) @ (weights / weights.sum())
